@@ -1,0 +1,5 @@
+//! Light transport: from a scene and a pose to a picture.
+
+pub mod bsdf;
+pub mod light;
+pub mod sampling;

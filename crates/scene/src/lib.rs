@@ -1,0 +1,24 @@
+//! Scenes: an immutable description of a world, and where everything in it is at one time.
+//!
+//! * [`Scene`] is what a file says: meshes, instances, materials, textures, lights, cameras and animation;
+//! * [`Pose`] is where everything is at one time: world transforms and deformed vertices. The scene itself never changes.
+//!
+//! World space is metres, right-handed, +Y up; colours are linear Rec. 709; angles are radians.
+
+mod camera;
+mod error;
+mod light;
+mod material;
+mod mesh;
+mod pose;
+mod scene;
+mod texture;
+
+pub use camera::{Camera, Projection};
+pub use error::{SceneError, Warning};
+pub use light::{Light, LightKind};
+pub use material::{AlphaMode, Material, NormalMap, TextureRef, Volume};
+pub use mesh::{Mesh, MorphTarget, Skinning};
+pub use pose::{Deformed, Pose, PosedInstance, PosedLight};
+pub use scene::{Contents, Instance, Node, Scene, Skin};
+pub use texture::{Filter, Image, Sampler, Texels, Texture, Wrap};
