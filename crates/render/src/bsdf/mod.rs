@@ -61,7 +61,9 @@ impl Bsdf {
     /// Sets up the lobes.
     pub fn new(parameters: &BsdfParameters, wo: Vec3) -> Self {
         let _ = wo;
-        Self { parameters: *parameters }
+        Self {
+            parameters: *parameters,
+        }
     }
 
     /// `(f * |cos|, pdf)` of all lobes that are not delta.

@@ -39,7 +39,12 @@ pub struct Lights {}
 
 impl Lights {
     /// Collects punctual lights, emissive triangles and the environment.
-    pub fn new(scene: &Scene, pose: &Pose, environment: Option<Environment>, selection: LightSelection) -> Self {
+    pub fn new(
+        scene: &Scene,
+        pose: &Pose,
+        environment: Option<Environment>,
+        selection: LightSelection,
+    ) -> Self {
         let _ = (scene, pose, environment, selection);
         todo!()
     }
@@ -55,13 +60,27 @@ impl Lights {
     }
 
     /// Samples light arriving at a point. `normal` is the shading normal, or zero where light from all sides counts.
-    pub fn sample(&self, scene: &Scene, position: Vec3, normal: Vec3, pick: f32, u: Vec2) -> Option<LightSample> {
+    pub fn sample(
+        &self,
+        scene: &Scene,
+        position: Vec3,
+        normal: Vec3,
+        pick: f32,
+        u: Vec2,
+    ) -> Option<LightSample> {
         let _ = (scene, position, normal, pick, u);
         todo!()
     }
 
     /// Density per steradian with which [`Lights::sample`] at `position` finds the point `hit` of an emissive triangle.
-    pub fn pdf_surface(&self, position: Vec3, normal: Vec3, instance: u32, primitive: u32, hit: Vec3) -> f32 {
+    pub fn pdf_surface(
+        &self,
+        position: Vec3,
+        normal: Vec3,
+        instance: u32,
+        primitive: u32,
+        hit: Vec3,
+    ) -> f32 {
         let _ = (position, normal, instance, primitive, hit);
         todo!()
     }

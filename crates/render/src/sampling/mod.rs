@@ -25,7 +25,12 @@ impl Sampler {
     /// The points of sample number `sample` of a pixel.
     pub fn new(kind: SamplerKind, seed: u64, pixel: [u32; 2], sample: u32) -> Self {
         let _ = (seed, pixel);
-        Self { kind, pixel_seed: 0, sample, dimension: 0 }
+        Self {
+            kind,
+            pixel_seed: 0,
+            sample,
+            dimension: 0,
+        }
     }
 
     /// Goes to a dimension set, so that the n-th decision of every path uses the same dimensions.
