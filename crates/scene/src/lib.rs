@@ -7,6 +7,9 @@
 
 mod camera;
 mod error;
+// Both loaders use it; until they land only the tests do.
+#[allow(dead_code)]
+mod image_file;
 mod light;
 mod material;
 mod mesh;
