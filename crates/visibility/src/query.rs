@@ -9,12 +9,26 @@ use glam::Vec3;
 pub struct Endpoint {
     /// World-space position.
     pub position: Vec3,
-    /// Area density of the sampling that put the point there, in samples per square unit (0: not known).
+    /// Density of the sampling that put the point there, in samples per square unit (0: not known). At an eye end all eye
+    /// samples of one pass count (`N_S P_e` in Popov 2013); at a light end it is the probability density of one sample
+    /// (`P_l`), given that this light was picked.
     pub density: f32,
     /// Unit geometric normal, on the side that the connection leaves.
     pub normal: Vec3,
     /// Padding, zero.
     pub reserved: u32,
+}
+
+impl Endpoint {
+    /// An endpoint on a surface; see the fields.
+    pub fn new(position: Vec3, normal: Vec3, density: f32) -> Self {
+        Self {
+            position,
+            density,
+            normal,
+            reserved: 0,
+        }
+    }
 }
 
 /// The light end of a question: one of the four kinds of Popov 2013, section 4.
@@ -30,7 +44,7 @@ pub enum LightEnd {
     SolidAngle {
         /// Unit vector towards the light.
         direction: Vec3,
-        /// Density of the sampling, per steradian.
+        /// Probability density of the sampling per steradian, given that this light was picked.
         density: f32,
     },
 }
@@ -42,8 +56,33 @@ pub struct Query {
     pub eye: Endpoint,
     /// Who is asked for.
     pub light: LightEnd,
+    /// How many questions of this technique one eye sample asks about this light on average (`N_P / N_S`): light samples
+    /// for each eye sample, times the probability of picking this light. Caches size their clusters by it; exact
+    /// strategies ignore it.
+    pub connections: f32,
     /// The ray that answers the question exactly: already moved off the surfaces at either end.
     pub ray: Ray,
+}
+
+impl Query {
+    /// A question that every eye sample asks once about this light ([`Query::connections`] is 1).
+    pub fn new(eye: Endpoint, light: LightEnd, ray: Ray) -> Self {
+        Self {
+            eye,
+            light,
+            connections: 1.0,
+            ray,
+        }
+    }
+}
+
+/// The part of a job that questions belong to: one tile of one pass.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct Epoch {
+    /// Index of the pass over the picture, from 0.
+    pub pass: u32,
+    /// Index of the tile (or of any other unit that one worker does alone), from 0.
+    pub tile: u32,
 }
 
 /// What an answer may be trusted for.
@@ -90,7 +129,20 @@ pub trait Visibility<T: Tracer>: Sync {
     /// Makes the state of one worker.
     fn worker(&self) -> Self::Worker;
 
+    /// Tells a worker which tile of which pass its next questions come from.
+    ///
+    /// Integrators call it before the first question of every tile. A strategy whose answers depend on what was asked
+    /// before forgets here what another worker might not know, so that a picture does not depend on the number of threads;
+    /// a strategy that sharpens from pass to pass reads the pass. Does nothing by default.
+    fn begin(&self, worker: &mut Self::Worker, epoch: Epoch) {
+        let _ = (worker, epoch);
+    }
+
     /// Answers a batch: `answers[i]` estimates the visibility of `queries[i]`, 1 is visible, 0 is blocked.
+    ///
+    /// A batch is answered whole; no question stays pending between calls, so a strategy is free to trace its misses
+    /// together, in any order, each only once. Larger batches (hundreds to thousands) trace faster. Ask questions of one
+    /// eye end next to each other and neighbouring eye ends soon after: memories live from that.
     ///
     /// # Panics
     /// If the slices differ in length.
@@ -99,7 +151,7 @@ pub trait Visibility<T: Tracer>: Sync {
     /// The counters of a worker.
     fn stats(&self, worker: &Self::Worker) -> VisibilityStats;
 
-    /// Bytes that the strategy holds now, all workers together.
+    /// The most bytes that the strategy's memory has held at one time, all workers together.
     fn bytes(&self) -> u64 {
         0
     }

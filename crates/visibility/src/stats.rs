@@ -1,5 +1,8 @@
 //! Counters, kept where the events happen.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+
 /// What a visibility strategy did. Ray reduction is `queries / traced`.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct VisibilityStats {
@@ -28,5 +31,38 @@ impl VisibilityStats {
         for (sum, n) in self.refined.iter_mut().zip(&other.refined) {
             *sum += n;
         }
+    }
+}
+
+/// Bytes that the workers of one strategy hold together, now and at most.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Footprint(Arc<[AtomicU64; 2]>);
+
+/// A worker's share of a [`Footprint`]; gives it back when dropped.
+#[derive(Debug)]
+pub(crate) struct Held {
+    footprint: Footprint,
+    bytes: u64,
+}
+
+impl Footprint {
+    pub(crate) fn hold(&self, bytes: usize) -> Held {
+        let bytes = bytes as u64;
+        let [now, peak] = &*self.0;
+        peak.fetch_max(now.fetch_add(bytes, Relaxed) + bytes, Relaxed);
+        Held {
+            footprint: self.clone(),
+            bytes,
+        }
+    }
+
+    pub(crate) fn peak(&self) -> u64 {
+        self.0[1].load(Relaxed)
+    }
+}
+
+impl Drop for Held {
+    fn drop(&mut self) {
+        self.footprint.0[0].fetch_sub(self.bytes, Relaxed);
     }
 }

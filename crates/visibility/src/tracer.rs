@@ -65,8 +65,8 @@ pub struct Hit {
 /// Whoever can answer visibility exactly: by tracing rays.
 ///
 /// An answer must be a pure function of the ray: asked twice, a tracer says the same (surfaces that let light pass with
-/// some probability decide by a hash of the ray, not by a running random number). Closures `Fn(&Ray) -> bool` that return
-/// whether something blocks the ray are tracers too.
+/// some probability decide by a hash of the ray, not by a running random number). All methods must agree on every ray,
+/// single or in a batch. Closures `Fn(&Ray) -> bool` that return whether something blocks the ray are tracers too.
 pub trait Tracer: Sync {
     /// Names one blocker, so that a memory of blockers can ask about it again. Use `()` if there is nothing to name.
     type Blocker: Copy + Send + Sync + PartialEq + std::fmt::Debug;
@@ -75,6 +75,9 @@ pub trait Tracer: Sync {
     fn blocker(&self, ray: &Ray) -> Option<Self::Blocker>;
 
     /// Does this one blocker block the ray? `false` is always a legal answer (it only costs a full ray).
+    ///
+    /// `true` promises that [`Tracer::blocker`] finds something too: use the very same intersection test, and make the
+    /// traversal conservative (no box may cull a triangle that the test would hit).
     fn blocks(&self, blocker: Self::Blocker, ray: &Ray) -> bool {
         let _ = (blocker, ray);
         false
@@ -83,6 +86,18 @@ pub trait Tracer: Sync {
     /// Does anything block the ray?
     fn occluded(&self, ray: &Ray) -> bool {
         self.blocker(ray).is_some()
+    }
+
+    /// Finds a blocker for each of many rays; `blockers[i]` belongs to `rays[i]`. Implementations may exploit coherence of
+    /// neighbours.
+    ///
+    /// # Panics
+    /// If the slices differ in length.
+    fn blocker_batch(&self, rays: &[Ray], blockers: &mut [Option<Self::Blocker>]) {
+        assert_eq!(rays.len(), blockers.len());
+        for (ray, answer) in rays.iter().zip(blockers) {
+            *answer = self.blocker(ray);
+        }
     }
 
     /// Answers many rays; `occluded[i]` belongs to `rays[i]`. Implementations may exploit coherence of neighbours.

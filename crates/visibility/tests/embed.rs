@@ -1,0 +1,12 @@
+//! The example of the documentation runs, and embedding stays short.
+
+#[path = "../examples/embed.rs"]
+mod embed;
+
+#[test]
+fn example_runs_and_is_short() {
+    embed::main();
+    let body = include_str!("../examples/embed.rs").lines();
+    let body = body.skip_while(|line| !line.starts_with("pub fn main"));
+    assert!(body.count() < 30);
+}
