@@ -1,0 +1,288 @@
+//! The `--stats` file: schema 1 of the contract. Keys may be added; none is renamed.
+
+use crate::error::CliError;
+use crate::output;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::time::Instant;
+
+/// What one run of a command did and what it cost.
+#[derive(Debug, Clone, Serialize)]
+pub struct Stats {
+    /// Version of this layout.
+    pub schema: u32,
+    /// `render`, `inspect`...
+    pub command: &'static str,
+    /// File name of the scene, without its folder.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub scene: Option<String>,
+    /// Commit that the program was built from.
+    pub commit: &'static str,
+    /// `--seed`.
+    pub seed: u64,
+    /// Where it ran.
+    pub machine: Machine,
+    /// Wall-clock seconds.
+    pub seconds: Seconds,
+    /// What the scene holds.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub scene_counts: Option<SceneCounts>,
+    /// What rendering did.
+    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    pub work: Option<Work>,
+    /// Memory of the whole process.
+    pub memory: Memory,
+}
+
+/// The machine.
+#[derive(Debug, Clone, Serialize)]
+pub struct Machine {
+    /// Name of the processor.
+    pub cpu: String,
+    /// Logical cores that this process may use.
+    pub cores: usize,
+    /// Threads that worked.
+    pub threads: usize,
+    /// Widest instructions that the processor offers: `avx512`, `avx2`, `sse2`, `neon`, `none`.
+    pub simd: &'static str,
+}
+
+/// Where the time went. `total` is the whole process from its start; `work` is rendering alone.
+#[derive(Debug, Clone, Default, Serialize)]
+pub struct Seconds {
+    /// From the start of the process to this file.
+    pub total: f64,
+    /// Reading and decoding the scene and the environment.
+    pub load: f64,
+    /// Building the BVH and the light distributions.
+    pub build: f64,
+    /// Rendering.
+    pub work: f64,
+    /// Encoding and writing the outputs.
+    pub write: f64,
+    /// The same and finer, by name.
+    pub phases: BTreeMap<&'static str, f64>,
+}
+
+/// Counts of the scene.
+#[derive(Debug, Clone, Copy, Default, Serialize)]
+pub struct SceneCounts {
+    /// Every instance's triangles.
+    pub triangles: u64,
+    /// Triangles of the meshes, each counted once.
+    pub unique_triangles: u64,
+    /// Mesh instances.
+    pub instances: u64,
+    /// Lights: punctual lights, emissive triangles, the environment if it shines.
+    pub lights: u64,
+}
+
+/// What rendering did.
+#[derive(Debug, Clone, Default, Serialize)]
+pub struct Work {
+    /// Samples of every pixel in the outputs.
+    pub samples_per_pixel: u32,
+    /// `samples`, `time`, `noise` or `cancel`.
+    pub stopped_by: &'static str,
+    /// Rays by kind.
+    pub rays: Rays,
+    /// What the visibility strategy did.
+    pub visibility: Visibility,
+}
+
+/// Rays by kind.
+#[derive(Debug, Clone, Copy, Default, Serialize)]
+pub struct Rays {
+    /// From the camera.
+    pub primary: u64,
+    /// From surfaces, in search of the next one.
+    pub secondary: u64,
+    /// Towards lights.
+    pub shadow: u64,
+    /// That filled records.
+    pub fill: u64,
+}
+
+/// What the visibility strategy did. Ray reduction is `queries / traced`.
+#[derive(Debug, Clone, Default, Serialize)]
+pub struct Visibility {
+    /// `exact`, `occluder`...
+    pub strategy: String,
+    /// `exact`, `unbiased`, `consistent`, `bounded` or `biased`.
+    pub class: &'static str,
+    /// Questions that the integrator asked.
+    pub queries: u64,
+    /// Those that needed no ray.
+    pub answered: u64,
+    /// Rays traced for the rest.
+    pub traced: u64,
+    /// Questions refined, by level.
+    pub refined: Vec<u64>,
+    /// Memory that the strategy holds.
+    pub bytes: u64,
+}
+
+/// Memory of the whole process.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Memory {
+    /// Largest resident size so far.
+    pub peak_bytes: u64,
+    /// `--memory`.
+    pub limit_bytes: Option<u64>,
+}
+
+/// The commit that the program was built from.
+pub const COMMIT: &str = env!("OCCLUDE_COMMIT");
+
+impl Stats {
+    /// A record that holds what is known at the start.
+    pub fn new(command: &'static str, seed: u64, threads: usize, limit_bytes: Option<u64>) -> Self {
+        Self {
+            schema: 1,
+            command,
+            scene: None,
+            commit: COMMIT,
+            seed,
+            machine: Machine {
+                cpu: cpu_name(),
+                cores: std::thread::available_parallelism().map_or(1, |n| n.get()),
+                threads,
+                simd: simd(),
+            },
+            seconds: Seconds::default(),
+            scene_counts: None,
+            work: None,
+            memory: Memory {
+                peak_bytes: 0,
+                limit_bytes,
+            },
+        }
+    }
+
+    /// Writes the file, with the time since `began` and the peak memory of this moment.
+    pub fn write(&mut self, path: &Path, began: Instant) -> Result<(), CliError> {
+        self.seconds.total = began.elapsed().as_secs_f64();
+        self.memory.peak_bytes = peak_memory();
+        let mut text = serde_json::to_vec_pretty(self)
+            .map_err(|error| CliError::failed("cannot encode statistics", path.display(), error))?;
+        text.push(b'\n');
+        output::write(path, &text)
+    }
+}
+
+/// Largest resident size of this process so far, in bytes; 0 where the system does not tell.
+#[cfg(target_os = "linux")]
+pub fn peak_memory() -> u64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+    let kib = line.and_then(|rest| rest.split_whitespace().next()?.parse::<u64>().ok());
+    kib.unwrap_or(0) * 1024
+}
+
+/// Largest resident size of this process so far, in bytes; 0 where the system does not tell.
+#[cfg(all(unix, not(target_os = "linux")))]
+pub fn peak_memory() -> u64 {
+    let mut usage = std::mem::MaybeUninit::<libc::rusage>::zeroed();
+    // SAFETY: the pointer is to a whole, writable `rusage`, which is all that getrusage asks for.
+    let result = unsafe { libc::getrusage(libc::RUSAGE_SELF, usage.as_mut_ptr()) };
+    if result != 0 {
+        return 0;
+    }
+    // SAFETY: all-zero bytes are a valid `rusage` (integers alone), and getrusage has filled it.
+    let peak = unsafe { usage.assume_init() }.ru_maxrss as u64;
+    // Apple's systems count bytes, the others KiB.
+    if cfg!(target_vendor = "apple") {
+        peak
+    } else {
+        peak * 1024
+    }
+}
+
+/// Largest resident size of this process so far, in bytes; 0 where the system does not tell.
+#[cfg(not(unix))]
+pub fn peak_memory() -> u64 {
+    0
+}
+
+/// What the system calls the processor.
+fn cpu_name() -> String {
+    let info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let value = |key: &str| {
+        let line = info.lines().find(|line| line.starts_with(key))?;
+        line.split_once(':').map(|(_, name)| name.trim().to_owned())
+    };
+    value("model name")
+        .or_else(|| value("Hardware"))
+        .or_else(|| std::env::var("PROCESSOR_IDENTIFIER").ok())
+        .unwrap_or_else(|| std::env::consts::ARCH.to_owned())
+}
+
+/// The widest instructions that this processor offers.
+fn simd() -> &'static str {
+    #[cfg(target_arch = "x86_64")]
+    {
+        if std::arch::is_x86_feature_detected!("avx512f") {
+            "avx512"
+        } else if std::arch::is_x86_feature_detected!("avx2") {
+            "avx2"
+        } else {
+            "sse2"
+        }
+    }
+    #[cfg(target_arch = "aarch64")]
+    {
+        "neon"
+    }
+    #[cfg(not(any(target_arch = "x86_64", target_arch = "aarch64")))]
+    {
+        "none"
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_are_those_of_the_contract() {
+        let mut stats = Stats::new("render", 7, 2, Some(1 << 30));
+        stats.scene = Some("a.glb".into());
+        stats.scene_counts = Some(SceneCounts::default());
+        stats.work = Some(Work::default());
+        let json = serde_json::to_value(&stats).unwrap();
+        let keys = |value: &serde_json::Value| {
+            let mut keys: Vec<String> = value.as_object().unwrap().keys().cloned().collect();
+            keys.sort();
+            keys.join(" ")
+        };
+        assert_eq!(
+            keys(&json),
+            "command commit machine memory rays samples_per_pixel scene scene_counts schema seconds seed stopped_by visibility"
+        );
+        assert_eq!(keys(&json["machine"]), "cores cpu simd threads");
+        assert_eq!(keys(&json["seconds"]), "build load phases total work write");
+        assert_eq!(
+            keys(&json["scene_counts"]),
+            "instances lights triangles unique_triangles"
+        );
+        assert_eq!(keys(&json["rays"]), "fill primary secondary shadow");
+        assert_eq!(
+            keys(&json["visibility"]),
+            "answered bytes class queries refined strategy traced"
+        );
+        assert_eq!(keys(&json["memory"]), "limit_bytes peak_bytes");
+    }
+
+    #[test]
+    fn peak_memory_sees_an_allocation() {
+        let before = peak_memory();
+        let block = vec![1u8; 256 << 20];
+        assert!(block.iter().map(|&b| u64::from(b)).sum::<u64>() == 256 << 20);
+        assert!(
+            peak_memory() >= before.max(256 << 20),
+            "{before} {}",
+            peak_memory()
+        );
+    }
+}
