@@ -10,6 +10,7 @@ mod error;
 // Both loaders use it; until they land only the tests do.
 #[allow(dead_code)]
 mod image_file;
+mod fingerprint;
 mod light;
 mod material;
 mod mesh;
@@ -19,6 +20,7 @@ mod texture;
 
 pub use camera::{Camera, Projection};
 pub use error::{SceneError, Warning};
+pub use fingerprint::fingerprint;
 pub use light::{Light, LightKind};
 pub use material::{AlphaMode, Material, NormalMap, TextureRef, Volume};
 pub use mesh::{Mesh, MorphTarget, Skinning};

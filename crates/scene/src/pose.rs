@@ -80,4 +80,13 @@ impl Pose {
             None => &scene.meshes[posed.mesh as usize].normals,
         }
     }
+
+    /// Vertex tangents of an instance, in its object space; empty if the mesh has none.
+    pub fn tangents<'a>(&'a self, scene: &'a Scene, instance: usize) -> &'a [glam::Vec4] {
+        let posed = &self.instances[instance];
+        match posed.deformed {
+            Some(d) => &self.deformed[d as usize].tangents,
+            None => &scene.meshes[posed.mesh as usize].tangents,
+        }
+    }
 }
