@@ -15,8 +15,10 @@ mod light;
 mod material;
 mod mesh;
 mod pose;
+pub mod procedural;
 mod scene;
 mod texture;
+mod write;
 
 pub use camera::{Camera, Projection};
 pub use error::{SceneError, Warning};
@@ -27,3 +29,4 @@ pub use mesh::{Mesh, MorphTarget, Skinning};
 pub use pose::{Deformed, Pose, PosedInstance, PosedLight};
 pub use scene::{Contents, Instance, Node, Scene, Skin};
 pub use texture::{Filter, Image, Sampler, Texels, Texture, Wrap};
+pub use write::{WriteError, write_glb};
