@@ -7,3 +7,4 @@ pub mod geometry;
 pub mod job;
 pub mod light;
 pub mod sampling;
+pub mod work;

@@ -8,9 +8,9 @@
 mod camera;
 mod error;
 // Both loaders use it; until they land only the tests do.
+mod fingerprint;
 #[allow(dead_code)]
 mod image_file;
-mod fingerprint;
 mod light;
 mod material;
 mod mesh;
