@@ -2,6 +2,7 @@
 
 use glam::{Vec2, Vec3};
 use occlude_render::bsdf::{Bsdf, BsdfParameters};
+use occlude_render::sampling::{Sampler, SamplerKind};
 
 fn direction(cos: f32) -> Vec3 {
     Vec3::new((1.0 - cos * cos).sqrt(), 0.0, cos)
@@ -10,31 +11,19 @@ fn direction(cos: f32) -> Vec3 {
 /// Share of unit radiance from everywhere that leaves towards `wo`, with the squeeze of refraction taken out.
 fn furnace(parameters: &BsdfParameters, wo: Vec3) -> Vec3 {
     let bsdf = Bsdf::new(parameters, wo);
-    let n = 28;
+    let samples = 1 << 16;
     let mut sum = glam::DVec3::ZERO;
-    for k in 0..n {
-        for i in 0..n {
-            for j in 0..n {
-                let jitter = |a: u32, m: u32| {
-                    ((k * 7919 + i * 104_729 + j * 1_299_709 + a).wrapping_mul(m) >> 8) as f32
-                        / 16_777_216.0
-                };
-                let lobe = (k as f32 + jitter(1, 2_654_435_761)) / n as f32;
-                let u = Vec2::new(
-                    (i as f32 + jitter(2, 2_246_822_519)) / n as f32,
-                    (j as f32 + jitter(3, 3_266_489_917)) / n as f32,
-                );
-                if let Some(s) = bsdf.sample(wo, lobe, u) {
-                    assert!(
-                        s.weight.is_finite() && s.wi.is_finite() && s.pdf.is_finite(),
-                        "{s:?} {parameters:?}"
-                    );
-                    sum += (s.weight * s.eta2).as_dvec3();
-                }
-            }
+    for i in 0..samples {
+        let [x, y, lobe, _] = Sampler::new(SamplerKind::Sobol, 0, [0, 0], i).next();
+        if let Some(s) = bsdf.sample(wo, lobe, Vec2::new(x, y)) {
+            assert!(
+                s.weight.is_finite() && s.wi.is_finite() && s.pdf.is_finite(),
+                "{s:?} {parameters:?}"
+            );
+            sum += (s.weight * s.eta2).as_dvec3();
         }
     }
-    (sum / f64::from(n * n * n)).as_vec3()
+    (sum / f64::from(samples)).as_vec3()
 }
 
 #[test]
