@@ -5,10 +5,9 @@ use crate::progress::Progress;
 use crate::stats::Stats;
 use crate::{output, signals, values};
 use clap::Args;
+use occlude_render::job::Job;
 use occlude_scene::Warning;
 use std::path::PathBuf;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 /// Warnings about one file that are printed before the rest is only counted.
@@ -47,8 +46,8 @@ pub struct Context {
     pub progress: Progress,
     /// What goes to `--stats`.
     pub stats: Stats,
-    /// Set by Ctrl-C and SIGTERM.
-    pub cancel: Arc<AtomicBool>,
+    /// Watched by the progress line, cancelled by Ctrl-C and SIGTERM.
+    pub job: Job,
     began: Instant,
 }
 
@@ -63,31 +62,28 @@ impl Context {
             .num_threads(threads)
             .build_global()
             .map_err(|error| CliError::failed("cannot start threads", "--threads", error))?;
-        let cancel = signals::install();
+        let mut job = Job::new();
+        job.memory_limit = common.memory;
+        signals::install(&job);
         let stats = Stats::new(
             command,
             common.seed,
             rayon::current_num_threads(),
             common.memory,
         );
-        let progress = Progress::new(common.quiet);
+        let progress = Progress::new(&job, common.quiet);
         Ok(Self {
             common,
             progress,
             stats,
-            cancel,
+            job,
             began,
         })
     }
 
-    /// Whether somebody asked to stop.
-    pub fn is_cancelled(&self) -> bool {
-        self.cancel.load(Ordering::SeqCst)
-    }
-
     /// Runs a phase: shown on the terminal, timed into the statistics.
     pub fn phase<T>(&mut self, name: &'static str, work: impl FnOnce(&mut Self) -> T) -> T {
-        self.progress.phase(name);
+        self.job.start_phase(name, 0);
         let began = Instant::now();
         let result = work(self);
         let seconds = began.elapsed().as_secs_f64();
@@ -103,17 +99,22 @@ impl Context {
         result
     }
 
+    /// Prints a warning.
+    pub fn warn(&self, text: impl std::fmt::Display) {
+        self.progress.suspend(|| warn(text));
+    }
+
     /// Prints the warnings of a loader, the first of them at least.
     pub fn warn_all(&self, warnings: &[Warning]) {
         for warning in warnings.iter().take(MAX_WARNINGS) {
             if warning.place.is_empty() {
-                warn(&warning.what);
+                self.warn(&warning.what);
             } else {
-                warn(format_args!("{}: {}", warning.what, warning.place));
+                self.warn(format_args!("{}: {}", warning.what, warning.place));
             }
         }
         if warnings.len() > MAX_WARNINGS {
-            warn(format_args!(
+            self.warn(format_args!(
                 "{} more warnings: see all with occlude inspect --json",
                 warnings.len() - MAX_WARNINGS
             ));

@@ -1,7 +1,7 @@
 //! `occlude inspect`: what is in a scene.
 
 use crate::context::Context;
-use crate::error::{CliError, warn};
+use crate::error::CliError;
 use crate::stats::SceneCounts;
 use clap::Args;
 use glam::Vec3;
@@ -38,7 +38,7 @@ pub fn run(args: &InspectArgs, context: &mut Context) -> Result<(), CliError> {
     context.progress.finish();
     context.warn_all(&scene.warnings);
     if report.counts.triangles == 0 {
-        warn(format_args!(
+        context.warn(format_args!(
             "no triangles, nothing can be rendered: {}",
             args.scene.display()
         ));

@@ -3,12 +3,8 @@
 use crate::error::CliError;
 use std::ffi::OsString;
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, Write};
+use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
-
-/// Files that are being written; removed if a signal ends the program.
-static TEMPORARIES: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
 /// Picture formats, known by the file's extension.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -94,13 +90,16 @@ fn same_file(a: &Path, b: &Path) -> bool {
 }
 
 /// Writes the whole file or leaves the old one as it was. Exit code 1 if it cannot: the disk is full, say.
-pub fn write(path: &Path, bytes: &[u8]) -> Result<(), CliError> {
+pub fn write(
+    path: &Path,
+    fill: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+) -> Result<(), CliError> {
     let result = match Target::of(path)? {
         Target::Direct(path) => OpenOptions::new()
             .write(true)
             .open(path)
-            .and_then(|mut file| file.write_all(bytes)),
-        Target::Renamed(path) => write_and_rename(&path, bytes),
+            .and_then(|mut file| fill(&mut file)),
+        Target::Renamed(path) => write_and_rename(&path, fill),
     };
     result.map_err(|error| {
         CliError::failed(
@@ -111,41 +110,21 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<(), CliError> {
     })
 }
 
-fn write_and_rename(path: &Path, bytes: &[u8]) -> io::Result<()> {
+fn write_and_rename(
+    path: &Path,
+    fill: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+) -> io::Result<()> {
     let temporary = beside(path);
-    register(&temporary);
     let result = (|| {
-        let mut file = File::create(&temporary)?;
-        file.write_all(bytes)?;
-        file.sync_all()?;
+        let mut out = BufWriter::new(File::create(&temporary)?);
+        fill(&mut out)?;
+        out.into_inner()?.sync_all()?;
         fs::rename(&temporary, path)
     })();
     if result.is_err() {
         let _ = fs::remove_file(&temporary);
     }
-    unregister(&temporary);
     result
-}
-
-/// Removes half-written files; for the signal handler, just before it ends the program.
-pub fn remove_temporaries() {
-    for path in lock().drain(..) {
-        let _ = fs::remove_file(path);
-    }
-}
-
-fn register(path: &Path) {
-    lock().push(path.to_owned());
-}
-
-fn unregister(path: &Path) {
-    lock().retain(|p| p != path);
-}
-
-fn lock() -> std::sync::MutexGuard<'static, Vec<PathBuf>> {
-    TEMPORARIES
-        .lock()
-        .unwrap_or_else(std::sync::PoisonError::into_inner)
 }
 
 /// How a name is written to.

@@ -1,107 +1,149 @@
 //! Progress on a terminal: phase, share done, time left, rays a second. Silent in a pipe and with `--quiet`.
 
 use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressStyle};
+use occlude_render::job::{self, Job};
 use std::io::IsTerminal;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// Steps of the bar: fractions are shown to a thousandth.
+/// Steps of the bar.
 const STEPS: u64 = 1000;
 
-/// The line on stderr that says how far a command is.
+/// How often the line is drawn anew.
+const PERIOD: Duration = Duration::from_millis(125);
+
+/// The line on stderr that says how far a job is. It watches the job from a thread of its own: work never waits for it.
 pub struct Progress {
     bar: ProgressBar,
     visible: bool,
-    phase_began: Instant,
+    finished: Arc<AtomicBool>,
 }
 
 impl Progress {
     /// Shown only if stderr is a terminal and `quiet` is not set.
-    pub fn new(quiet: bool) -> Self {
+    pub fn new(job: &Job, quiet: bool) -> Self {
         let visible = !quiet && std::io::stderr().is_terminal();
-        let bar = if visible {
-            ProgressBar::with_draw_target(Some(STEPS), ProgressDrawTarget::stderr_with_hz(8))
-        } else {
-            ProgressBar::hidden()
-        };
+        let finished = Arc::new(AtomicBool::new(false));
+        if !visible {
+            return Self {
+                bar: ProgressBar::hidden(),
+                visible,
+                finished,
+            };
+        }
+        let bar = ProgressBar::with_draw_target(Some(STEPS), ProgressDrawTarget::stderr());
+        let (line, job, end) = (bar.clone(), job.clone(), Arc::clone(&finished));
+        // Detached: it ends with the program or soon after `finish`.
+        std::thread::spawn(move || watch(&line, &job, &end));
         Self {
             bar,
             visible,
-            phase_began: Instant::now(),
+            finished,
         }
     }
 
-    /// Begins a phase whose length is not known.
-    pub fn phase(&mut self, name: &'static str) {
-        self.phase_began = Instant::now();
+    /// Prints without disturbing the line.
+    pub fn suspend(&self, print: impl FnOnce()) {
         if self.visible {
-            self.bar
-                .set_style(style("{spinner} {prefix:<8} {elapsed_precise}  {msg}"));
-            self.bar.set_prefix(name);
-            self.bar.set_message("");
-            self.bar.reset_elapsed();
-            self.bar.enable_steady_tick(Duration::from_millis(125));
+            self.bar.suspend(print)
+        } else {
+            print()
         }
     }
 
-    /// Tells the share done of the present phase, in [0, 1], and how many rays have been traced in it.
-    pub fn update(&self, fraction: f64, rays: u64) {
-        if !self.visible {
-            return;
-        }
-        let fraction = fraction.clamp(0.0, 1.0);
-        let seconds = self.phase_began.elapsed().as_secs_f64();
-        self.bar
-            .set_style(style("{spinner} {prefix:<8} {bar:30} {msg}"));
-        self.bar.set_position((fraction * STEPS as f64) as u64);
-        self.bar.set_message(describe(fraction, rays, seconds));
-    }
-
-    /// Prints a line above the bar, on a terminal only.
+    /// Tells people at a terminal something that is not worth a line elsewhere.
     pub fn note(&self, text: &str) {
         if self.visible {
             self.bar.suspend(|| eprintln!("{text}"));
         }
     }
 
-    /// Removes the bar.
+    /// Removes the line for good.
     pub fn finish(&self) {
+        self.finished.store(true, Ordering::SeqCst);
         self.bar.finish_and_clear();
     }
 }
 
-fn style(template: &str) -> ProgressStyle {
-    ProgressStyle::with_template(template)
-        .unwrap_or_else(|_| ProgressStyle::default_bar())
-        .progress_chars("=> ")
+fn watch(bar: &ProgressBar, job: &Job, finished: &AtomicBool) {
+    let mut start = job.progress();
+    let mut began = Instant::now();
+    loop {
+        std::thread::sleep(PERIOD);
+        let now = job.progress();
+        if now.phase != start.phase || now.done < start.done {
+            (start, began) = (now, Instant::now());
+        }
+        // After `finish` nothing may be drawn.
+        if finished.load(Ordering::SeqCst) {
+            return;
+        }
+        let template = if now.total > 0 {
+            "{spinner} {prefix:<8} {bar:30} {msg}"
+        } else {
+            "{spinner} {prefix:<8} {msg}"
+        };
+        let style =
+            ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+        bar.set_style(style.progress_chars("=> "));
+        bar.set_prefix(now.phase);
+        bar.set_position(STEPS * now.done.min(now.total) / now.total.max(1));
+        bar.set_message(describe(&start, &now, began.elapsed().as_secs_f64()));
+        bar.tick();
+    }
 }
 
-/// `42.0 %  left 12 seconds  8.31 Mrays/s`
-fn describe(fraction: f64, rays: u64, seconds: f64) -> String {
-    let mut text = format!("{:5.1} %", 100.0 * fraction);
-    if fraction > 0.01 && seconds > 0.5 && fraction < 1.0 {
-        let left = seconds * (1.0 - fraction) / fraction;
-        text += &format!(
-            "  {} left",
-            HumanDuration(Duration::from_secs_f64(left.min(1e9)))
-        );
+/// `42.0 %  12 seconds left  8.31 Mrays/s`, from the states at the beginning of the phase and now.
+fn describe(start: &job::Progress, now: &job::Progress, seconds: f64) -> String {
+    let mut parts = Vec::new();
+    if now.total > 0 {
+        parts.push(format!(
+            "{:5.1} %",
+            100.0 * now.done.min(now.total) as f64 / now.total as f64
+        ));
+        // What a resumed run began with took no time.
+        let done = now.done.saturating_sub(start.done);
+        if done > 0 && now.done < now.total && seconds > 0.5 {
+            let left = seconds * (now.total - now.done) as f64 / done as f64;
+            parts.push(format!(
+                "{} left",
+                HumanDuration(Duration::from_secs_f64(left.min(1e9)))
+            ));
+        }
+    } else {
+        parts.push(format!("{seconds:.1} s"));
     }
+    let rays = now.rays.saturating_sub(start.rays);
     if rays > 0 && seconds > 0.05 {
-        text += &format!("  {:.2} Mrays/s", rays as f64 / seconds / 1e6);
+        parts.push(format!("{:.2} Mrays/s", rays as f64 / seconds / 1e6));
     }
-    text
+    parts.join("  ")
 }
 
 #[cfg(test)]
 mod tests {
     use super::describe;
+    use occlude_render::job::Progress;
 
     #[test]
     fn tells_share_time_left_and_rate() {
+        let state = |done, total, rays| Progress {
+            phase: "render",
+            done,
+            total,
+            rays,
+        };
+        let start = state(0, 100, 1_000_000);
         assert_eq!(
-            describe(0.25, 20_000_000, 10.0),
+            describe(&start, &state(25, 100, 21_000_000), 10.0),
             " 25.0 %  30 seconds left  2.00 Mrays/s"
         );
-        assert_eq!(describe(0.0, 0, 0.0), "  0.0 %");
-        assert_eq!(describe(1.0, 0, 3.0), "100.0 %");
+        assert_eq!(
+            describe(&state(50, 100, 0), &state(75, 100, 0), 10.0),
+            " 75.0 %  10 seconds left"
+        );
+        assert_eq!(describe(&start, &state(0, 100, 0), 0.0), "  0.0 %");
+        assert_eq!(describe(&start, &state(0, 0, 0), 3.0), "3.0 s");
     }
 }

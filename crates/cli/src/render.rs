@@ -288,6 +288,15 @@ fn check(args: &mut RenderArgs) -> Result<(), CliError> {
             ));
         }
     }
+    std::fs::metadata(&args.scene)
+        .and_then(|data| {
+            if data.is_dir() {
+                Err(std::io::ErrorKind::IsADirectory.into())
+            } else {
+                Ok(())
+            }
+        })
+        .map_err(|error| CliError::read(&args.scene, &error))?;
     let inputs: Vec<&Path> = [Some(&args.scene), args.environment.as_ref()]
         .into_iter()
         .flatten()

@@ -1,23 +1,21 @@
 //! Ctrl-C and SIGTERM.
 //!
-//! While there is something to save ([`graceful`]), the first signal sets the cancel flag and the work ends by itself: it
-//! writes what it has. Before that, and at the second signal, the program ends at once. Either way the exit code is 130.
+//! While there is something to save ([`graceful`]), the first signal cancels the job: the work stops soon and writes what it
+//! has. Before that, and at the second signal, the program ends at once. Either way the exit code is 130.
 
-use crate::output;
-use std::sync::Arc;
+use occlude_render::job::Job;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Whether a first signal asks the work to stop rather than ending the program.
 static GRACEFUL: AtomicBool = AtomicBool::new(false);
 
-/// Installs the handler; the flag becomes true when the work should stop.
-pub fn install() -> Arc<AtomicBool> {
-    let cancel = Arc::new(AtomicBool::new(false));
-    let flag = Arc::clone(&cancel);
+/// Installs the handler.
+pub fn install(job: &Job) {
+    let job = job.clone();
     let installed = ctrlc::set_handler(move || {
-        let first = !flag.swap(true, Ordering::SeqCst);
+        let first = !job.is_cancelled();
+        job.cancel();
         if !(first && GRACEFUL.load(Ordering::SeqCst)) {
-            output::remove_temporaries();
             std::process::exit(130);
         }
     });
@@ -26,7 +24,6 @@ pub fn install() -> Arc<AtomicBool> {
             "Ctrl-C cannot be caught, it will end the program at once: {error}"
         ));
     }
-    cancel
 }
 
 /// From now on the work watches the cancel flag and saves what it has.

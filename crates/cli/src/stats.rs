@@ -167,7 +167,7 @@ impl Stats {
         let mut text = serde_json::to_vec_pretty(self)
             .map_err(|error| CliError::failed("cannot encode statistics", path.display(), error))?;
         text.push(b'\n');
-        output::write(path, &text)
+        output::write(path, |out| out.write_all(&text))
     }
 }
 
