@@ -14,6 +14,9 @@ mod image_file;
 mod light;
 mod material;
 mod mesh;
+// The loaders call it when they land.
+#[allow(dead_code)]
+mod obj;
 mod pose;
 pub mod procedural;
 mod scene;
