@@ -1,0 +1,302 @@
+//! The builder's inner loops, compiled once for AVX2 and once for any processor from the same text.
+
+use super::{EMPTY_HULL, Hull, Ref, half_area, union};
+use crate::node::LANES;
+
+/// Most bins an axis.
+pub(super) const BINS: usize = 16;
+/// Ranges of at most so many references are swept exactly.
+pub(super) const SMALL: usize = 8;
+
+/// A range cut in two.
+pub(super) struct Split {
+    /// References on the left.
+    pub at: usize,
+    pub hulls: [Hull; 2],
+    /// Hulls of the doubled centres; after a sweep left empty, since a swept range is only swept again.
+    pub centres: [Hull; 2],
+}
+
+/// How centres are sorted into bins.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Grid {
+    lower: [f32; 4],
+    /// 0: all centres share this coordinate.
+    scale: [f32; 4],
+    bins: usize,
+}
+
+impl Grid {
+    pub fn new(centres: &Hull, count: usize) -> Self {
+        let bins = (4 + count / 8).min(BINS);
+        let mut scale = [0.0; 4];
+        for axis in 0..3 {
+            let extent = -(centres[axis + 4] + centres[axis]);
+            // A shade under the number of bins, so that rounding keeps the last centre inside.
+            let s = bins as f32 * 0.9999 / extent;
+            if extent > 0.0 && s.is_finite() {
+                scale[axis] = s;
+            }
+        }
+        Self {
+            lower: [centres[0], centres[1], centres[2], 0.0],
+            scale,
+            bins,
+        }
+    }
+
+    /// The bins of a reference, one an axis.
+    #[inline(always)]
+    fn bins_of(&self, hull: &Hull) -> [usize; 3] {
+        let at: [f32; 4] =
+            std::array::from_fn(|k| (hull[k] - hull[k + 4] - self.lower[k]) * self.scale[k]);
+        // SAFETY: centres lie inside the hull of centres, so that the products are finite and from 0 up to the number of
+        // bins; lane 3 is not converted.
+        let index = |k: usize| unsafe { at[k].to_int_unchecked::<i32>() } as usize;
+        let last = self.bins - 1;
+        [index(0).min(last), index(1).min(last), index(2).min(last)]
+    }
+
+    #[inline(always)]
+    fn bin_of(&self, hull: &Hull, axis: usize) -> usize {
+        let at = (hull[axis] - hull[axis + 4] - self.lower[axis]) * self.scale[axis];
+        // SAFETY: as in `bins_of`, with the same arithmetic.
+        (unsafe { at.to_int_unchecked::<i32>() } as usize).min(self.bins - 1)
+    }
+}
+
+/// What fell into each bin.
+#[derive(Clone)]
+pub(super) struct Bins {
+    hulls: [[Hull; BINS]; 3],
+    counts: [[u32; BINS]; 3],
+}
+
+impl Bins {
+    pub const EMPTY: Self = Self {
+        hulls: [[EMPTY_HULL; BINS]; 3],
+        counts: [[0; BINS]; 3],
+    };
+
+    pub fn merge(mut self, other: &Self) -> Self {
+        for axis in 0..3 {
+            for bin in 0..BINS {
+                self.hulls[axis][bin] = union(&self.hulls[axis][bin], &other.hulls[axis][bin]);
+                self.counts[axis][bin] += other.counts[axis][bin];
+            }
+        }
+        self
+    }
+}
+
+/// The best plane between bins.
+pub(super) struct Plane {
+    pub axis: usize,
+    /// First bin on the right.
+    pub bin: usize,
+    pub hulls: [Hull; 2],
+}
+
+/// The hull of twice the centre.
+#[inline(always)]
+pub(super) fn centre(h: &Hull) -> Hull {
+    std::array::from_fn(|k| h[k] - h[(k + 4) % 8])
+}
+
+/// Blocks that hold so many triangles.
+#[inline(always)]
+fn blocks(count: usize) -> f32 {
+    count.div_ceil(LANES) as f32
+}
+
+/// The inner loops for one kind of processor.
+///
+/// # Safety
+/// Every function asks that the processor has the features of the implementor.
+pub(super) trait Kernels {
+    unsafe fn bin(refs: &[Ref], grid: &Grid, bins: &mut Bins);
+    unsafe fn choose(bins: &Bins, grid: &Grid) -> Option<Plane>;
+    unsafe fn partition(refs: &mut [Ref], scratch: &mut [Ref], grid: &Grid, plane: &Plane)
+    -> Split;
+    unsafe fn sweep(refs: &mut [Ref]) -> Option<Split>;
+}
+
+#[inline(always)]
+fn bin(refs: &[Ref], grid: &Grid, bins: &mut Bins) {
+    for r in refs {
+        let index = grid.bins_of(&r.hull);
+        for (axis, bin) in index.into_iter().enumerate() {
+            let hull = &mut bins.hulls[axis][bin];
+            *hull = union(hull, &r.hull);
+            bins.counts[axis][bin] += 1;
+        }
+    }
+}
+
+#[inline(always)]
+fn choose(bins: &Bins, grid: &Grid) -> Option<Plane> {
+    let mut best = f32::INFINITY;
+    let mut found = None;
+    for axis in 0..3 {
+        if grid.scale[axis] == 0.0 {
+            continue;
+        }
+        let mut right_cost = [f32::INFINITY; BINS];
+        let (mut hull, mut count) = (EMPTY_HULL, 0);
+        for bin in (1..grid.bins).rev() {
+            hull = union(&hull, &bins.hulls[axis][bin]);
+            count += bins.counts[axis][bin] as usize;
+            if count > 0 {
+                right_cost[bin] = half_area(&hull) * blocks(count);
+            }
+        }
+        let (mut hull, mut count) = (EMPTY_HULL, 0);
+        for (bin, right_cost) in right_cost.iter().enumerate().take(grid.bins).skip(1) {
+            hull = union(&hull, &bins.hulls[axis][bin - 1]);
+            count += bins.counts[axis][bin - 1] as usize;
+            if count > 0 {
+                let cost = half_area(&hull) * blocks(count) + right_cost;
+                if cost < best {
+                    best = cost;
+                    found = Some((axis, bin));
+                }
+            }
+        }
+    }
+    found.map(|(axis, bin)| {
+        let side = |range: std::ops::Range<usize>| {
+            bins.hulls[axis][range]
+                .iter()
+                .fold(EMPTY_HULL, |a, b| union(&a, b))
+        };
+        Plane {
+            axis,
+            bin,
+            hulls: [side(0..bin), side(bin..grid.bins)],
+        }
+    })
+}
+
+#[inline(always)]
+fn partition(refs: &mut [Ref], scratch: &mut [Ref], grid: &Grid, plane: &Plane) -> Split {
+    let mut centres = [EMPTY_HULL; 2];
+    let (mut left, mut right) = (0, 0);
+    for i in 0..refs.len() {
+        let r = refs[i];
+        let goes_right = grid.bin_of(&r.hull, plane.axis) >= plane.bin;
+        // Both places are written and one of them kept: no branch to mispredict.
+        refs[left] = r;
+        scratch[right] = r;
+        left += usize::from(!goes_right);
+        right += usize::from(goes_right);
+        let c = centre(&r.hull);
+        let side = &mut centres[usize::from(goes_right)];
+        *side = union(side, &c);
+    }
+    refs[left..].copy_from_slice(&scratch[..right]);
+    Split {
+        at: left,
+        hulls: plane.hulls,
+        centres,
+    }
+}
+
+/// All splits along all axes of at most [`SMALL`] references; leaves them in the order of the best axis.
+#[inline(always)]
+fn sweep(refs: &mut [Ref]) -> Option<Split> {
+    let n = refs.len();
+    debug_assert!((2..=SMALL).contains(&n));
+    let mut best = f32::INFINITY;
+    let mut found = None;
+    for axis in 0..3 {
+        let mut order = [0u8; SMALL];
+        let mut keys = [0.0f32; SMALL];
+        for (i, r) in refs.iter().enumerate() {
+            let key = r.hull[axis] - r.hull[axis + 4];
+            let mut j = i;
+            while j > 0 && keys[j - 1] > key {
+                keys[j] = keys[j - 1];
+                order[j] = order[j - 1];
+                j -= 1;
+            }
+            keys[j] = key;
+            order[j] = i as u8;
+        }
+        let mut right = [EMPTY_HULL; SMALL + 1];
+        for i in (1..n).rev() {
+            right[i] = union(&right[i + 1], &refs[order[i] as usize].hull);
+        }
+        let mut left = EMPTY_HULL;
+        for i in 1..n {
+            left = union(&left, &refs[order[i - 1] as usize].hull);
+            let cost = half_area(&left) * blocks(i) + half_area(&right[i]) * blocks(n - i);
+            if cost < best {
+                best = cost;
+                found = Some((order, i, [left, right[i]]));
+            }
+        }
+    }
+    let (order, at, hulls) = found?;
+    let mut sorted = [refs[0]; SMALL];
+    for i in 0..n {
+        sorted[i] = refs[order[i] as usize];
+    }
+    refs.copy_from_slice(&sorted[..n]);
+    Some(Split {
+        at,
+        hulls,
+        centres: [EMPTY_HULL; 2],
+    })
+}
+
+/// For any processor.
+pub(super) struct Portable;
+
+impl Kernels for Portable {
+    unsafe fn bin(refs: &[Ref], grid: &Grid, bins: &mut Bins) {
+        bin(refs, grid, bins)
+    }
+    unsafe fn choose(bins: &Bins, grid: &Grid) -> Option<Plane> {
+        choose(bins, grid)
+    }
+    unsafe fn partition(
+        refs: &mut [Ref],
+        scratch: &mut [Ref],
+        grid: &Grid,
+        plane: &Plane,
+    ) -> Split {
+        partition(refs, scratch, grid, plane)
+    }
+    unsafe fn sweep(refs: &mut [Ref]) -> Option<Split> {
+        sweep(refs)
+    }
+}
+
+/// For processors with AVX2. No fused arithmetic: both kinds build the same tree.
+#[cfg(target_arch = "x86_64")]
+pub(super) struct Avx2;
+
+#[cfg(target_arch = "x86_64")]
+impl Kernels for Avx2 {
+    #[target_feature(enable = "avx2")]
+    unsafe fn bin(refs: &[Ref], grid: &Grid, bins: &mut Bins) {
+        bin(refs, grid, bins)
+    }
+    #[target_feature(enable = "avx2")]
+    unsafe fn choose(bins: &Bins, grid: &Grid) -> Option<Plane> {
+        choose(bins, grid)
+    }
+    #[target_feature(enable = "avx2")]
+    unsafe fn partition(
+        refs: &mut [Ref],
+        scratch: &mut [Ref],
+        grid: &Grid,
+        plane: &Plane,
+    ) -> Split {
+        partition(refs, scratch, grid, plane)
+    }
+    #[target_feature(enable = "avx2")]
+    unsafe fn sweep(refs: &mut [Ref]) -> Option<Split> {
+        sweep(refs)
+    }
+}

@@ -1,0 +1,129 @@
+//! Checking a structure against its own rules: for tests, and after a refit that one does not trust.
+
+use crate::accel::Accel;
+use crate::node::{Block, Bounds, Child, LANES, MAX_DEPTH, NO_TRIANGLE, Tree, WIDTH};
+use glam::Vec3;
+
+impl Accel {
+    /// Checks everything that traversal takes for granted, and that no triangle is lost. Slow: visits all of it.
+    ///
+    /// # Errors
+    /// What is wrong, in words.
+    pub fn validate(&self) -> Result<(), String> {
+        let mut placed_seen = vec![0u32; self.placed.len()];
+        self.check_tree(&self.top, &mut placed_seen)
+            .map_err(|e| format!("top tree: {e}"))?;
+        for (mesh, tree) in self.trees.iter().enumerate() {
+            self.check_tree(tree, &mut [])
+                .map_err(|e| format!("tree of mesh {mesh}: {e}"))?;
+        }
+        if let Some(k) = placed_seen.iter().position(|&n| n > 1) {
+            return Err(format!(
+                "placed instance {k} is in the top tree {} times",
+                placed_seen[k]
+            ));
+        }
+        Ok(())
+    }
+
+    fn check_tree(&self, tree: &Tree, placed_seen: &mut [u32]) -> Result<(), String> {
+        if tree.nodes.is_empty() {
+            return if tree.blocks.is_empty() {
+                Ok(())
+            } else {
+                Err("blocks without nodes".into())
+            };
+        }
+        let mut node_seen = vec![false; tree.nodes.len()];
+        let mut block_seen = vec![false; tree.blocks.len()];
+        let mut ids = Vec::with_capacity(LANES * tree.blocks.len());
+        let mut waiting = vec![(0, tree.bounds, 1)];
+        while let Some((index, bounds, depth)) = waiting.pop() {
+            if std::mem::replace(&mut node_seen[index], true) {
+                return Err(format!("node {index} is reached twice"));
+            }
+            if depth > tree.depth || depth > MAX_DEPTH {
+                return Err(format!("node {index} at depth {depth} of {}", tree.depth));
+            }
+            for lane in 0..WIDTH {
+                let (inside, child) = (
+                    tree.nodes[index].bounds(lane),
+                    tree.nodes[index].children[lane],
+                );
+                if child == Child::NONE {
+                    if inside.lower != Vec3::INFINITY || inside.upper != Vec3::NEG_INFINITY {
+                        return Err(format!("unused child {lane} of node {index} has a box"));
+                    }
+                    continue;
+                }
+                if !(bounds.contains(&inside) || inside.is_empty()) {
+                    return Err(format!(
+                        "child {lane} of node {index} leaves the node's box"
+                    ));
+                }
+                if !child.is_leaf() {
+                    if child.index() >= tree.nodes.len() {
+                        return Err(format!("child {lane} of node {index} is no node"));
+                    }
+                    waiting.push((child.index(), inside, depth + 1));
+                } else if child.is_instance() {
+                    *placed_seen
+                        .get_mut(child.index())
+                        .ok_or("an instance that does not exist")? += 1;
+                } else {
+                    let run = child.index()..child.index() + child.block_count();
+                    let blocks = tree.blocks.get(run.clone());
+                    for (b, block) in run.zip(blocks.ok_or("blocks that do not exist")?) {
+                        if std::mem::replace(&mut block_seen[b], true) {
+                            return Err(format!("block {b} is reached twice"));
+                        }
+                        self.check_block(block, &inside, &mut ids)
+                            .map_err(|e| format!("block {b}: {e}"))?;
+                    }
+                }
+            }
+        }
+        if node_seen.contains(&false) || block_seen.contains(&false) {
+            return Err("a node or block is not reached".into());
+        }
+        ids.sort_unstable();
+        if ids.windows(2).any(|w| w[0] == w[1]) {
+            return Err("a triangle is there twice".into());
+        }
+        Ok(())
+    }
+
+    fn check_block(
+        &self,
+        block: &Block,
+        bounds: &Bounds,
+        ids: &mut Vec<u32>,
+    ) -> Result<(), String> {
+        for lane in 0..LANES {
+            if block.ids[lane] == NO_TRIANGLE {
+                if block.corners.iter().flatten().any(|row| row[lane] != 0.0) {
+                    return Err(format!("unused lane {lane} is not zero"));
+                }
+                continue;
+            }
+            ids.push(block.ids[lane]);
+            // The edges of the fast test round, so only the first corner is exact there.
+            let exact = if self.is_watertight() { 3 } else { 1 };
+            for corner in 0..exact {
+                let p = Vec3::from_array(std::array::from_fn(|axis| {
+                    block.corners[corner][axis][lane]
+                }));
+                let point = Bounds { lower: p, upper: p };
+                if !bounds.contains(&point)
+                    && block.corners.iter().flatten().any(|row| row[lane] != 0.0)
+                {
+                    return Err(format!(
+                        "triangle {} leaves its leaf's box",
+                        block.ids[lane]
+                    ));
+                }
+            }
+        }
+        Ok(())
+    }
+}
