@@ -4,6 +4,7 @@ pub mod bsdf;
 pub mod camera;
 pub mod film;
 pub mod geometry;
+pub mod integrator;
 pub mod job;
 pub mod light;
 pub mod sampling;

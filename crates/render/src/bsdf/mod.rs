@@ -136,6 +136,11 @@ pub struct Bsdf {
     albedo: Vec3,
 }
 
+/// Whether a surface of this perceptual roughness is treated as perfectly smooth: it mirrors exactly.
+pub fn is_smooth(roughness: f32) -> bool {
+    roughness * roughness < microfacet::ALPHA_DELTA
+}
+
 /// Reflectance and transmittance of one microfacet.
 struct Facet {
     reflect: Vec3,
@@ -405,6 +410,18 @@ impl Bsdf {
                 ..base
             },
         })
+    }
+
+    /// Light that goes straight through towards `wo` without a change of direction, by colour: the mean of `weight` over the samples
+    /// that [passed](BsdfSample::passed), all others counted as black.
+    pub fn straight_transmittance(&self, wo: Vec3) -> Vec3 {
+        let window = self.wall == Wall::Thin && self.delta && self.pick_specular > 0.0;
+        self.pass
+            + if window {
+                self.facet(wo.z).transmit
+            } else {
+                Vec3::ZERO
+            }
     }
 
     /// Whether every lobe is delta (then light sampling is pointless).

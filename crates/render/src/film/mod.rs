@@ -5,9 +5,11 @@
 
 mod file;
 mod fixed;
+mod layers;
 
 pub use file::FilmError;
 pub use fixed::FixedSum;
+pub use layers::Aovs;
 
 use glam::Vec3;
 

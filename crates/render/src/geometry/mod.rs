@@ -1,5 +1,11 @@
-//! Geometry as light sees it: triangles in the world, with their sides.
+//! Geometry as light sees it: exact rays against a posed scene, and the surfaces that they meet.
 
+mod alpha;
+mod surface;
+mod tracer;
 mod triangle;
 
+pub use surface::Surface;
+pub(crate) use tracer::is_pane;
+pub use tracer::{Geometry, GeometryError};
 pub use triangle::WorldTriangle;

@@ -1,0 +1,263 @@
+//! What a ray finds where it hits: position, normals, sides, and the material there.
+
+use super::alpha::{base_color, interpolate, lookup};
+use super::{Geometry, WorldTriangle};
+use crate::bsdf::BsdfParameters;
+use glam::{Mat3, Vec3, Vec4Swizzles};
+use occlude_scene::{Material, Mesh, NormalMap};
+use occlude_visibility::Hit;
+
+/// A point on a surface, seen from one side.
+#[derive(Clone, Copy, Debug)]
+pub struct Surface<'a> {
+    /// World-space position.
+    pub position: Vec3,
+    /// Unit geometric normal on the side that is seen.
+    pub normal: Vec3,
+    /// World from local shading frame: columns tangent, bitangent, shading normal. The shading normal lies on the side that
+    /// is seen and is bent, where need be, so that the viewer is above it.
+    pub world_from_local: Mat3,
+    /// The front side is seen.
+    pub front: bool,
+    /// Largest absolute coordinate of the triangle: what rounding of `position` is relative to.
+    pub extent: f32,
+    /// The hit.
+    pub hit: Hit,
+    mesh: &'a Mesh,
+    material: &'a Material,
+}
+
+impl<'a> Surface<'a> {
+    /// The surface at a hit, seen from `toward_eye` (unit vector from the hit to the viewer). `None` if the triangle has no
+    /// area.
+    pub fn new(geometry: &Geometry<'a>, hit: Hit, toward_eye: Vec3) -> Option<Self> {
+        let (scene, pose) = (geometry.scene, geometry.pose);
+        let posed = &pose.instances[hit.instance as usize];
+        let mesh = &scene.meshes[posed.mesh as usize];
+        let material = &scene.materials[mesh.material as usize];
+        let triangle = WorldTriangle::new(scene, pose, hit.instance, hit.primitive);
+        let front_normal = triangle.front_cross().try_normalize()?;
+        let front = front_normal.dot(toward_eye) >= 0.0;
+        let normal = if front { front_normal } else { -front_normal };
+
+        let vertices = mesh.triangles[hit.primitive as usize];
+        let normals = pose.normals(scene, hit.instance as usize);
+        let normal_from_object = geometry.normal_from_object(hit.instance);
+        let smooth = (!normals.is_empty())
+            .then(|| {
+                (normal_from_object * interpolate(normals, vertices, hit.u, hit.v)).try_normalize()
+            })
+            .flatten()
+            .unwrap_or(front_normal);
+        // Vertex normals that disagree with the winding are taken to mean the other side.
+        let smooth = if smooth.dot(front_normal) < 0.0 {
+            -smooth
+        } else {
+            smooth
+        };
+
+        let mut surface = Self {
+            position: triangle.point(hit.u, hit.v),
+            normal,
+            world_from_local: Mat3::IDENTITY,
+            front,
+            extent: triangle.extent(),
+            hit,
+            mesh,
+            material,
+        };
+        let mut shading = smooth;
+        if let Some(map) = &material.normal {
+            shading = surface
+                .mapped_normal(geometry, map, &triangle, smooth)
+                .unwrap_or(smooth);
+        }
+        if !front {
+            shading = -shading;
+        }
+        let z = seen_from(shading, normal, toward_eye);
+        let (x, y) = z.any_orthonormal_pair();
+        surface.world_from_local = Mat3::from_cols(x, y, z);
+        Some(surface)
+    }
+
+    /// The normal that a normal map gives, on the front side. `None` where it is not defined.
+    fn mapped_normal(
+        &self,
+        geometry: &Geometry,
+        map: &NormalMap,
+        triangle: &WorldTriangle,
+        smooth: Vec3,
+    ) -> Option<Vec3> {
+        let Hit {
+            u,
+            v,
+            primitive,
+            instance,
+            ..
+        } = self.hit;
+        let texel =
+            lookup(geometry.scene, self.mesh, &map.texture, primitive, u, v).xyz() * 2.0 - 1.0;
+        let local = Vec3::new(texel.x * map.scale, texel.y * map.scale, texel.z);
+        let tangents = geometry.pose.tangents(geometry.scene, instance as usize);
+        let (tangent, sign) = if tangents.is_empty() {
+            // Directions of growing u and v on the triangle.
+            let set = if map.texture.uv_set == 0 {
+                &self.mesh.uv0
+            } else {
+                &self.mesh.uv1
+            };
+            let [a, b, c] =
+                self.mesh.triangles[primitive as usize].map(|i| set.get(i as usize).copied());
+            let (a, b, c) = (a?, b?, c?);
+            let (d1, d2) = (b - a, c - a);
+            let [p0, p1, p2] = triangle.corners;
+            let area = d1.perp_dot(d2);
+            (
+                (p1 - p0) * d2.y - (p2 - p0) * d1.y,
+                if triangle.mirrored {
+                    -area.signum()
+                } else {
+                    area.signum()
+                },
+            )
+        } else {
+            let tangent = interpolate(tangents, self.mesh.triangles[primitive as usize], u, v);
+            let world_from_object = geometry.pose.instances[instance as usize].world_from_object;
+            (
+                world_from_object.transform_vector3(tangent.xyz()),
+                tangent.w,
+            )
+        };
+        let tangent = if tangents.is_empty() {
+            tangent * sign
+        } else {
+            tangent
+        };
+        let tangent = (tangent - smooth * smooth.dot(tangent)).try_normalize()?;
+        let handed = if tangents.is_empty() {
+            sign
+        } else {
+            sign * if triangle.mirrored { -1.0 } else { 1.0 }
+        };
+        let bitangent = smooth.cross(tangent) * handed;
+        (tangent * local.x + bitangent * local.y + smooth * local.z).try_normalize()
+    }
+
+    /// Material of the surface.
+    pub fn material(&self) -> &'a Material {
+        self.material
+    }
+
+    /// The unit shading normal.
+    pub fn shading_normal(&self) -> Vec3 {
+        self.world_from_local.z_axis
+    }
+
+    /// Radiance that the surface emits towards the viewer, textures applied.
+    pub fn emission(&self, geometry: &Geometry) -> Vec3 {
+        let material = self.material;
+        let Hit {
+            u, v, primitive, ..
+        } = self.hit;
+        if material.unlit {
+            return base_color(geometry.scene, material, self.mesh, primitive, u, v).xyz();
+        }
+        if material.emission == Vec3::ZERO || !(self.front || material.double_sided) {
+            return Vec3::ZERO;
+        }
+        match &material.emission_texture {
+            Some(texture) => {
+                material.emission
+                    * lookup(geometry.scene, self.mesh, texture, primitive, u, v).xyz()
+            }
+            None => material.emission,
+        }
+    }
+
+    /// Parameters of the surface's scattering, textures applied.
+    pub fn bsdf_parameters(&self, geometry: &Geometry) -> BsdfParameters {
+        let material = self.material;
+        let Hit {
+            u, v, primitive, ..
+        } = self.hit;
+        let value = |texture: &Option<occlude_scene::TextureRef>| {
+            texture
+                .as_ref()
+                .map(|t| lookup(geometry.scene, self.mesh, t, primitive, u, v))
+        };
+        let (mut metallic, mut roughness) = (material.metallic, material.roughness);
+        if let Some(texel) = value(&material.metallic_roughness_texture) {
+            (metallic, roughness) = (metallic * texel.z, roughness * texel.y);
+        }
+        let scaled = |factor: f32, texture, channel: usize| {
+            if factor == 0.0 {
+                0.0
+            } else {
+                factor * value(texture).map_or(1.0, |texel| texel[channel])
+            }
+        };
+        let tinted =
+            |factor: Vec3, texture| factor * value(texture).map_or(Vec3::ONE, |texel| texel.xyz());
+        BsdfParameters {
+            base_color: base_color(geometry.scene, material, self.mesh, primitive, u, v).xyz(),
+            metallic,
+            roughness,
+            ior: material.ior,
+            specular: scaled(material.specular, &material.specular_texture, 3),
+            specular_color: tinted(material.specular_color, &material.specular_color_texture),
+            transmission: scaled(material.transmission, &material.transmission_texture, 0),
+            thin: material.volume.is_none_or(|volume| volume.thickness == 0.0),
+            entering: self.front,
+            clearcoat: scaled(material.clearcoat, &material.clearcoat_texture, 0),
+            clearcoat_roughness: scaled(
+                material.clearcoat_roughness,
+                &material.clearcoat_roughness_texture,
+                1,
+            ),
+            sheen_color: tinted(material.sheen_color, &material.sheen_color_texture),
+            sheen_roughness: scaled(
+                material.sheen_roughness,
+                &material.sheen_roughness_texture,
+                3,
+            ),
+        }
+    }
+}
+
+/// Bends a shading normal towards the geometric normal just far enough that `toward_eye` is above it: a viewer who sees
+/// the surface must not look at its shading from behind.
+fn seen_from(shading: Vec3, normal: Vec3, toward_eye: Vec3) -> Vec3 {
+    const LEAST_COS: f32 = 1e-3;
+    if shading.dot(toward_eye) >= LEAST_COS {
+        return shading;
+    }
+    // Remove what points away from the viewer, then lean towards them by the least cosine.
+    let level = shading - toward_eye * shading.dot(toward_eye);
+    level
+        .try_normalize()
+        .map_or(normal, |level| (level + toward_eye * LEAST_COS).normalize())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bent_normals_face_the_viewer() {
+        let eye = Vec3::new(0.9, 0.1, 0.0).normalize();
+        for shading in [
+            Vec3::Y,
+            Vec3::new(-0.8, 0.6, 0.0),
+            Vec3::new(-1.0, 0.0, 0.0),
+            -eye,
+        ] {
+            let bent = seen_from(shading, Vec3::Y, eye);
+            assert!(
+                bent.dot(eye) > 0.0 && (bent.length() - 1.0).abs() < 1e-5,
+                "{shading} -> {bent}"
+            );
+        }
+        assert_eq!(seen_from(Vec3::Y, Vec3::Y, eye), Vec3::Y);
+    }
+}

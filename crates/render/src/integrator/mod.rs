@@ -1,0 +1,328 @@
+//! Integrators: from a world and a visibility strategy to a film.
+//!
+//! Work proceeds in tiles of pixels and a few samples at a time: about a thousand paths that advance together, one
+//! scattering event a pass (extend all rays, shade all hits, ask all visibility questions, go on). Caches see questions
+//! in batches, and vector units and GPUs can take the same passes.
+//!
+//! A sample is a pure function of seed, pixel and sample number, and the film's sums do not depend on their order: so the
+//! number of threads, shards, cancelling and resuming leave no trace in the picture.
+
+mod ambient_occlusion;
+mod path;
+
+use crate::camera::{PixelFilter, View};
+use crate::film::Film;
+use crate::geometry::Geometry;
+use crate::job::Job;
+use crate::light::Lights;
+use crate::sampling::{Sampler, SamplerKind};
+use glam::Vec2;
+use occlude_visibility::{Epoch, Visibility, VisibilityStats};
+use rayon::prelude::*;
+use std::ops::Range;
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+/// Width and height of a tile, pixels.
+const TILE: u32 = 16;
+
+/// Samples a pixel that a tile advances together.
+const SAMPLES_TOGETHER: u32 = 4;
+
+/// How light is found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Integrator {
+    /// Unidirectional path tracing with next-event estimation and multiple importance sampling (Kajiya 1986; Veach 1997).
+    Path {
+        /// Most scattering events on a path: 0 sees emitters only, 1 adds direct light.
+        max_depth: u32,
+    },
+    /// Share of the cosine-weighted hemisphere that nothing blocks within a distance.
+    AmbientOcclusion {
+        /// The distance, metres; may be infinite.
+        distance: f32,
+    },
+}
+
+/// What is rendered, and when it is good enough.
+#[derive(Clone, Debug)]
+pub struct RenderSettings {
+    /// How light is found.
+    pub integrator: Integrator,
+    /// Where sample points come from.
+    pub sampler: SamplerKind,
+    /// How samples spread around pixel centres.
+    pub filter: PixelFilter,
+    /// Seed of all random decisions.
+    pub seed: u64,
+    /// The sample numbers to take: `0..n` on one machine, a part of it in a shard.
+    pub samples: Range<u32>,
+    /// Stop after this time, with at least one sample a pixel.
+    pub time_limit: Option<Duration>,
+    /// Stop once [`Film::noise`] is at most this.
+    pub noise: Option<f64>,
+}
+
+/// Everything that light meets.
+#[derive(Clone, Copy, Debug)]
+pub struct World<'a> {
+    /// Surfaces.
+    pub geometry: &'a Geometry<'a>,
+    /// Emitters.
+    pub lights: &'a Lights,
+}
+
+/// Why rendering ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StoppedBy {
+    /// All samples are taken.
+    Samples,
+    /// The time is over.
+    Time,
+    /// The noise is low enough.
+    Noise,
+    /// Somebody cancelled the job.
+    Cancel,
+}
+
+impl StoppedBy {
+    /// The name used in statistics.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Samples => "samples",
+            Self::Time => "time",
+            Self::Noise => "noise",
+            Self::Cancel => "cancel",
+        }
+    }
+}
+
+/// Rays by purpose, visibility questions apart.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RayCounts {
+    /// From the camera.
+    pub primary: u64,
+    /// From surfaces on.
+    pub secondary: u64,
+}
+
+/// What a rendering did.
+#[derive(Clone, Debug)]
+pub struct RenderReport {
+    /// Why it ended.
+    pub stopped_by: StoppedBy,
+    /// Rays by purpose.
+    pub rays: RayCounts,
+    /// Visibility questions and what became of them.
+    pub visibility: VisibilityStats,
+}
+
+/// Scratch space and counters of one worker.
+struct Worker<W> {
+    visibility: W,
+    path: path::Scratch,
+    rays: RayCounts,
+}
+
+/// A rectangle of pixels and the samples that it takes next.
+struct Unit {
+    /// Number of the tile in the picture.
+    index: u32,
+    x: u32,
+    y: u32,
+    width: u32,
+    height: u32,
+    samples: Range<u32>,
+}
+
+/// Renders until `settings` say stop, adding to what the film already holds.
+///
+/// The film must be empty or the result of an earlier, interrupted call with the same settings. `at_rest` is called now and
+/// then while no sample is half done, with the film, for checkpoints and previews.
+///
+/// # Panics
+/// If film and view differ in size.
+pub fn render<'a, V: Visibility<Geometry<'a>>>(
+    world: &World<'a>,
+    view: &View,
+    visibility: &V,
+    settings: &RenderSettings,
+    film: &mut Film,
+    job: &Job,
+    at_rest: &mut dyn FnMut(&Film),
+) -> RenderReport {
+    assert_eq!((view.width(), view.height()), (film.width(), film.height()));
+    let deadline = settings.time_limit.map(|limit| Instant::now() + limit);
+    let workers: Mutex<Vec<Worker<V::Worker>>> = Mutex::new(Vec::new());
+    let pixels = u64::from(film.width()) * u64::from(film.height());
+    let target = settings.samples.end - settings.samples.start;
+    let already: u64 = (0..film.height())
+        .flat_map(|y| (0..film.width()).map(move |x| (x, y)))
+        .map(|(x, y)| u64::from(film.samples_at(x, y)))
+        .sum();
+    job.start_phase("render", pixels * u64::from(target));
+    job.advance(already, 0);
+
+    let mut stopped_by = StoppedBy::Samples;
+    let mut round_end = 0;
+    while round_end < target {
+        // The first sample alone: something to look at soon.
+        round_end = if round_end == 0 {
+            1
+        } else {
+            (round_end / SAMPLES_TOGETHER + 1) * SAMPLES_TOGETHER
+        }
+        .min(target);
+        let units = units_until(film, round_end);
+        let shared_film = Mutex::new(&mut *film);
+        let stop = |first_round: bool| {
+            job.is_cancelled()
+                || (!first_round && deadline.is_some_and(|deadline| Instant::now() >= deadline))
+        };
+        units.into_par_iter().for_each(|unit| {
+            if stop(round_end == 1) {
+                return;
+            }
+            let mut worker = lock(&workers).pop().unwrap_or_else(|| Worker {
+                visibility: visibility.worker(),
+                path: path::Scratch::default(),
+                rays: RayCounts::default(),
+            });
+            let before = worker.rays.primary
+                + worker.rays.secondary
+                + visibility.stats(&worker.visibility).traced;
+            let mut tile = lock(&shared_film).tile(unit.x, unit.y, unit.width, unit.height);
+            match settings.integrator {
+                Integrator::Path { max_depth } => {
+                    path::render_unit(
+                        world,
+                        view,
+                        visibility,
+                        settings,
+                        max_depth,
+                        &unit,
+                        &mut worker,
+                        &mut tile,
+                    );
+                }
+                Integrator::AmbientOcclusion { distance } => {
+                    ambient_occlusion::render_unit(
+                        world,
+                        view,
+                        visibility,
+                        settings,
+                        distance,
+                        &unit,
+                        &mut worker,
+                        &mut tile,
+                    );
+                }
+            }
+            lock(&shared_film).add_tile(&tile);
+            let after = worker.rays.primary
+                + worker.rays.secondary
+                + visibility.stats(&worker.visibility).traced;
+            job.advance(
+                u64::from(unit.width * unit.height) * unit.samples.len() as u64,
+                after - before,
+            );
+            lock(&workers).push(worker);
+        });
+        if job.is_cancelled() {
+            stopped_by = StoppedBy::Cancel;
+            break;
+        }
+        at_rest(film);
+        if stop(false) && round_end < target {
+            stopped_by = StoppedBy::Time;
+            break;
+        }
+        let checkpoint = round_end.is_power_of_two() || round_end % 16 == 0;
+        if checkpoint
+            && round_end >= 4
+            && settings.noise.is_some_and(|limit| film.noise() <= limit)
+            && round_end < target
+        {
+            stopped_by = StoppedBy::Noise;
+            break;
+        }
+    }
+
+    let mut rays = RayCounts::default();
+    let mut stats = VisibilityStats::default();
+    for worker in workers.into_inner().unwrap_or_else(PoisonError::into_inner) {
+        rays.primary += worker.rays.primary;
+        rays.secondary += worker.rays.secondary;
+        stats.add(&visibility.stats(&worker.visibility));
+    }
+    RenderReport {
+        stopped_by,
+        rays,
+        visibility: stats,
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The work that brings every pixel of the film to `samples` samples.
+fn units_until(film: &Film, samples: u32) -> Vec<Unit> {
+    let corners = (0..film.height()).step_by(TILE as usize).flat_map(|y| {
+        (0..film.width())
+            .step_by(TILE as usize)
+            .map(move |x| (x, y))
+    });
+    corners
+        .filter_map(|(x, y)| {
+            let done = film.samples_at(x, y);
+            (done < samples).then(|| Unit {
+                index: y / TILE * film.width().div_ceil(TILE) + x / TILE,
+                x,
+                y,
+                width: TILE.min(film.width() - x),
+                height: TILE.min(film.height() - y),
+                samples: done..samples,
+            })
+        })
+        .collect()
+}
+
+/// The start of a sample: its pixel, its sampler and its point on the picture.
+struct Start {
+    x: u32,
+    y: u32,
+    sampler: Sampler,
+    point: Vec2,
+}
+
+impl Unit {
+    /// The unit's questions, as visibility strategies know them.
+    fn epoch(&self) -> Epoch {
+        Epoch {
+            pass: self.samples.start,
+            tile: self.index,
+        }
+    }
+
+    /// The samples of the unit, pixel by pixel.
+    fn starts<'a>(&'a self, settings: &'a RenderSettings) -> impl Iterator<Item = Start> + 'a {
+        let pixels = (self.y..self.y + self.height)
+            .flat_map(move |y| (self.x..self.x + self.width).map(move |x| (x, y)));
+        pixels.flat_map(move |(x, y)| {
+            self.samples.clone().map(move |sample| {
+                let number = settings.samples.start + sample;
+                let mut sampler = Sampler::new(settings.sampler, settings.seed, [x, y], number);
+                let [u, v, ..] = sampler.next();
+                let point = Vec2::new(x as f32 + 0.5, y as f32 + 0.5)
+                    + settings.filter.offset(Vec2::new(u, v));
+                Start {
+                    x,
+                    y,
+                    sampler,
+                    point,
+                }
+            })
+        })
+    }
+}

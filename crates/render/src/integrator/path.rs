@@ -1,0 +1,417 @@
+//! Path tracing with next-event estimation.
+//!
+//! At every scattering event one light is sampled and one direction of the surface; what both could find is weighted by
+//! the power heuristic (Veach 1997, section 9.2). Paths end by Russian roulette on their throughput. Clear panes and
+//! cut-outs are passed without an event, so that light behind windows is found by light sampling too.
+//!
+//! The wrong tool where light comes only through small holes or by way of caustics: such paths are found by chance alone.
+
+use super::{RenderSettings, Unit, Worker, World};
+use crate::bsdf::Bsdf;
+use crate::camera::View;
+use crate::film::{Features, FilmTile};
+use crate::geometry::{Geometry, Surface, is_pane};
+use crate::sampling::Sampler;
+use glam::{Vec2, Vec3};
+use occlude_visibility::{Endpoint, Hit, Query, Ray, Visibility, offset_along_normal};
+
+/// Panes that a path may pass beside its scattering events, before it is given up.
+const MOST_PANES: u32 = 64;
+
+/// Scattering events after which roulette may end a path.
+const ROULETTE_AFTER: u32 = 2;
+
+/// Dimension sets that one segment of a path uses.
+const SETS_PER_SEGMENT: u32 = 2;
+
+/// A path on its way.
+#[derive(Clone, Debug)]
+struct Path {
+    ray: Ray,
+    throughput: Vec3,
+    radiance: Vec3,
+    sampler: Sampler,
+    x: u32,
+    y: u32,
+    /// Scattering events so far.
+    depth: u32,
+    /// Panes passed so far.
+    panes: u32,
+    /// The last scattering event, for weighing what its direction finds against light sampling. `None` at the camera and
+    /// after mirrors, which light sampling cannot find.
+    last: Option<Scattering>,
+    /// Density of the ray's direction per steradian (per square metre across it, if `parallel`): with the way since, the
+    /// area density of what it hits.
+    direction_density: f32,
+    /// The rays come from an orthographic camera and do not spread.
+    parallel: bool,
+    /// Length of the way from where the direction was chosen to the ray's origin.
+    travelled: f32,
+    /// Absorption per metre of what the ray is in.
+    absorption: Vec3,
+    features: Features,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Scattering {
+    position: Vec3,
+    /// What light sampling used there.
+    light_normal: Vec3,
+    /// Density of the direction per steradian.
+    pdf: f32,
+}
+
+/// What a light sample brings, once its visibility is known.
+#[derive(Clone, Copy, Debug)]
+struct Pending {
+    path: u32,
+    contribution: Vec3,
+}
+
+/// Buffers that a worker keeps from tile to tile.
+#[derive(Debug, Default)]
+pub(super) struct Scratch {
+    paths: Vec<Path>,
+    alive: Vec<u32>,
+    rays: Vec<Ray>,
+    hits: Vec<Option<Hit>>,
+    queries: Vec<Query>,
+    pending: Vec<Pending>,
+    answers: Vec<f32>,
+}
+
+/// Renders the samples of a unit into its tile.
+pub(super) fn render_unit<'a, V: Visibility<Geometry<'a>>>(
+    world: &World<'a>,
+    view: &View,
+    visibility: &V,
+    settings: &RenderSettings,
+    max_depth: u32,
+    unit: &Unit,
+    worker: &mut Worker<V::Worker>,
+    tile: &mut FilmTile,
+) {
+    let scratch = &mut worker.path;
+    scratch.paths.clear();
+    scratch.paths.extend(unit.starts(settings).map(|start| {
+        let camera = view.ray(start.point);
+        Path {
+            ray: camera.ray,
+            throughput: Vec3::ONE,
+            radiance: Vec3::ZERO,
+            sampler: start.sampler,
+            x: start.x,
+            y: start.y,
+            depth: 0,
+            panes: 0,
+            last: None,
+            direction_density: camera.pixel_density,
+            parallel: camera.parallel,
+            travelled: 0.0,
+            absorption: Vec3::ZERO,
+            features: Features::default(),
+        }
+    }));
+    scratch.alive.clear();
+    scratch.alive.extend(0..scratch.paths.len() as u32);
+    worker.rays.primary += scratch.alive.len() as u64;
+
+    let mut first = true;
+    visibility.begin(&mut worker.visibility, unit.epoch());
+    while !scratch.alive.is_empty() {
+        if !first {
+            worker.rays.secondary += scratch.alive.len() as u64;
+        }
+        extend(world.geometry, scratch);
+        shade(world, max_depth, first, scratch);
+        scratch.answers.clear();
+        scratch.answers.resize(scratch.queries.len(), 0.0);
+        visibility.answer(
+            world.geometry,
+            &mut worker.visibility,
+            &scratch.queries,
+            &mut scratch.answers,
+        );
+        collect(world.geometry, scratch);
+        first = false;
+    }
+    for path in &scratch.paths {
+        tile.add(path.x, path.y, path.radiance, Some(&path.features));
+    }
+}
+
+/// Finds what every living path hits.
+fn extend(geometry: &Geometry, scratch: &mut Scratch) {
+    scratch.rays.clear();
+    scratch
+        .rays
+        .extend(scratch.alive.iter().map(|&i| scratch.paths[i as usize].ray));
+    scratch.hits.clear();
+    scratch.hits.resize(scratch.rays.len(), None);
+    geometry.closest_batch(&scratch.rays, &mut scratch.hits);
+}
+
+/// Shades all hits: adds emission, asks for light, goes on in a new direction or ends the path.
+fn shade(world: &World, max_depth: u32, first: bool, scratch: &mut Scratch) {
+    scratch.queries.clear();
+    scratch.pending.clear();
+    let Scratch {
+        paths,
+        alive,
+        hits,
+        queries,
+        pending,
+        ..
+    } = scratch;
+    let mut kept = 0;
+    for k in 0..alive.len() {
+        let index = alive[k];
+        let path = &mut paths[index as usize];
+        let goes_on = match hits[k] {
+            None => {
+                add_environment(world, path, first);
+                false
+            }
+            Some(hit) => shade_hit(world, max_depth, first, path, hit, |query, contribution| {
+                queries.push(query);
+                pending.push(Pending {
+                    path: index,
+                    contribution,
+                });
+            }),
+        };
+        if goes_on {
+            alive[kept] = index;
+            kept += 1;
+        }
+    }
+    alive.truncate(kept);
+}
+
+/// Adds what the visibility answers let through.
+fn collect(geometry: &Geometry, scratch: &mut Scratch) {
+    for ((pending, &answer), query) in scratch
+        .pending
+        .iter()
+        .zip(&scratch.answers)
+        .zip(&scratch.queries)
+    {
+        if answer != 0.0 {
+            let tint = if geometry.has_panes() {
+                geometry.pane_transmittance(&query.ray)
+            } else {
+                Vec3::ONE
+            };
+            scratch.paths[pending.path as usize].radiance += pending.contribution * tint * answer;
+        }
+    }
+}
+
+/// Weight of a technique with density `a` against another with density `b` (power heuristic, beta 2).
+fn power_heuristic(a: f32, b: f32) -> f32 {
+    if a.is_infinite() {
+        return 1.0;
+    }
+    let ratio = b / a;
+    1.0 / (1.0 + ratio * ratio)
+}
+
+fn add_environment(world: &World, path: &mut Path, first: bool) {
+    let direction = path.ray.direction;
+    let radiance = world.lights.environment(direction);
+    if first {
+        path.features.albedo = radiance.clamp(Vec3::ZERO, Vec3::ONE);
+    }
+    if radiance == Vec3::ZERO {
+        return;
+    }
+    let weight = path.last.map_or(1.0, |last| {
+        power_heuristic(
+            last.pdf,
+            world
+                .lights
+                .pdf_environment(last.position, last.light_normal, direction),
+        )
+    });
+    path.radiance += path.throughput * radiance * weight;
+}
+
+/// Shades one hit; returns whether the path goes on. `ask` takes visibility questions and what they bring.
+fn shade_hit(
+    world: &World,
+    max_depth: u32,
+    first: bool,
+    path: &mut Path,
+    hit: Hit,
+    ask: impl FnOnce(Query, Vec3),
+) -> bool {
+    let geometry = world.geometry;
+    let toward_eye = -path.ray.direction;
+    let Some(surface) = Surface::new(geometry, hit, toward_eye) else {
+        return false;
+    };
+    if path.absorption != Vec3::ZERO {
+        path.throughput *= (-path.absorption * hit.t).exp();
+    }
+
+    let emission = surface.emission(geometry);
+    if emission != Vec3::ZERO {
+        let weight = path.last.map_or(1.0, |last| {
+            let pdf = world.lights.pdf_surface(
+                last.position,
+                last.light_normal,
+                hit.instance,
+                hit.primitive,
+                surface.position,
+            );
+            power_heuristic(last.pdf, pdf)
+        });
+        path.radiance += path.throughput * emission * weight;
+    }
+    if surface.material().unlit {
+        if first {
+            path.features = Features {
+                albedo: emission.min(Vec3::ONE),
+                normal: surface.shading_normal(),
+                depth: hit.t,
+            };
+        }
+        return false;
+    }
+
+    let parameters = surface.bsdf_parameters(geometry);
+    let world_from_local = surface.world_from_local;
+    let local_from_world = world_from_local.transpose();
+    let wo = local_from_world * toward_eye;
+    let bsdf = Bsdf::new(&parameters, wo);
+    if first {
+        path.features = Features {
+            albedo: bsdf.albedo(),
+            normal: surface.shading_normal(),
+            depth: hit.t,
+        };
+    }
+    let is_pane = is_pane(surface.material());
+    if path.depth >= max_depth && !is_pane {
+        return false;
+    }
+
+    let segment = path.depth + path.panes;
+    path.sampler.jump(1 + segment * SETS_PER_SEGMENT);
+    let [pick, u, v, roulette] = path.sampler.next();
+    let distance = path.travelled + hit.t;
+    let light_normal = if parameters.transmission > 0.0 {
+        Vec3::ZERO
+    } else {
+        surface.shading_normal()
+    };
+
+    if !bsdf.is_delta() && path.depth < max_depth {
+        let sample = world.lights.sample(
+            geometry.scene,
+            surface.position,
+            light_normal,
+            pick,
+            Vec2::new(u, v),
+        );
+        if let Some(light) = sample {
+            let wi = local_from_world * light.wi;
+            let side = light.wi.dot(surface.normal);
+            // Both normals must agree on the side, or light would leak through the surface.
+            if side * wi.z > 0.0 {
+                let (f_cos, pdf) = bsdf.eval(wo, wi);
+                let weight = if light.delta {
+                    1.0
+                } else {
+                    power_heuristic(light.pdf, pdf)
+                };
+                let contribution = path.throughput * f_cos * light.radiance * (weight / light.pdf);
+                if contribution != Vec3::ZERO && contribution.is_finite() {
+                    let normal = surface.normal * side.signum();
+                    let origin = offset_along_normal(surface.position, normal, surface.extent);
+                    let ray = match light.target {
+                        Some(target) => Ray::between(origin, target),
+                        None => Ray::new(origin, light.wi),
+                    };
+                    let spread = if path.parallel {
+                        1.0
+                    } else {
+                        distance * distance
+                    };
+                    let density =
+                        path.direction_density * toward_eye.dot(surface.normal).abs() / spread;
+                    let eye = Endpoint::new(surface.position, normal, density);
+                    ask(Query::new(eye, light.end, ray), contribution);
+                }
+            }
+        }
+    }
+
+    let [lobe, u, v, _] = path.sampler.next();
+    let Some(sample) = bsdf.sample(wo, lobe, Vec2::new(u, v)) else {
+        return false;
+    };
+    let direction = (world_from_local * sample.wi).normalize();
+    let side = direction.dot(surface.normal);
+    if side * sample.wi.z <= 0.0 {
+        return false;
+    }
+    // What passes anything but a pane counts as an event, since shadow rays do not pass it.
+    let passed = sample.passed && is_pane;
+    if passed {
+        path.panes += 1;
+        if path.panes > MOST_PANES {
+            return false;
+        }
+        path.travelled = distance;
+    } else {
+        path.depth += 1;
+        if path.depth > max_depth {
+            return false;
+        }
+        path.last = (!sample.delta).then_some(Scattering {
+            position: surface.position,
+            light_normal,
+            pdf: sample.pdf,
+        });
+        if sample.delta {
+            path.travelled = distance;
+        } else {
+            path.travelled = 0.0;
+            path.direction_density = sample.pdf;
+            path.parallel = false;
+        }
+        if side < 0.0
+            && let Some(volume) = surface.material().volume
+        {
+            let inside = surface.front && volume.attenuation_distance.is_finite();
+            path.absorption = if inside {
+                -volume
+                    .attenuation_color
+                    .max(Vec3::splat(f32::MIN_POSITIVE))
+                    .map(f32::ln)
+                    / volume.attenuation_distance
+            } else {
+                Vec3::ZERO
+            };
+        }
+    }
+    path.throughput *= sample.weight;
+    if !passed && path.depth >= ROULETTE_AFTER {
+        let survival = path.throughput.max_element().min(1.0);
+        if roulette >= survival {
+            return false;
+        }
+        path.throughput /= survival;
+    }
+    if path.throughput.max_element() <= 0.0 || !path.throughput.is_finite() {
+        return false;
+    }
+    let origin = offset_along_normal(
+        surface.position,
+        surface.normal * side.signum(),
+        surface.extent,
+    );
+    path.ray = Ray::new(origin, direction);
+    true
+}
