@@ -10,6 +10,7 @@
 use super::distribution::{Distribution, fill, mass, pick, place, probability};
 use super::luminance;
 use glam::{Vec2, Vec3};
+use occlude_image::Picture;
 use std::f32::consts::{FRAC_1_PI, PI, TAU};
 
 /// A sky: constant, or a lat-long map that is sampled by its brightness.
@@ -63,24 +64,19 @@ impl Environment {
         }
     }
 
-    /// A lat-long map of linear radiance, row after row from the top (+Y); the middle of a row lies along +X and columns
-    /// grow towards +Z. `rotation` turns the sky about +Y, counterclockwise seen from above, in radians; radiance is
-    /// multiplied by `scale`.
+    /// A lat-long map of linear radiance: the top row is +Y, the middle of a row lies along +X, and columns grow towards
+    /// +Z. `rotation` turns the sky about +Y, counterclockwise seen from above, in radians; radiance is multiplied by `scale`.
     ///
-    /// Values that are negative or no number count as 0, infinite ones as the largest finite one. A map without pixels, or
-    /// with fewer than `width * height`, is black.
-    pub fn from_pixels(
-        width: usize,
-        height: usize,
-        pixels: &[[f32; 3]],
-        rotation: f32,
-        scale: f32,
-    ) -> Self {
+    /// Values that are negative or no number count as 0, infinite ones as the largest finite one. A picture without
+    /// pixels, or with fewer than it says, is black.
+    pub fn from_picture(picture: &Picture, rotation: f32, scale: f32) -> Self {
         let rotation = if rotation.is_finite() { rotation } else { 0.0 };
+        let (width, height) = (picture.width as usize, picture.height as usize);
         let count = width
             .checked_mul(height)
-            .filter(|&n| n > 0 && n <= pixels.len());
-        let map = count.and_then(|n| Map::new(width, height, clean(&pixels[..n], scale), rotation));
+            .filter(|&n| n > 0 && n <= picture.pixels.len());
+        let map = count
+            .and_then(|n| Map::new(width, height, clean(&picture.pixels[..n], scale), rotation));
         match map {
             Some(map) => Self {
                 kind: Kind::Map(Box::new(map)),

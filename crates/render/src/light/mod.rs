@@ -400,3 +400,6 @@ fn cross_section(scene: &Scene, pose: &Pose) -> f32 {
     let area = std::f32::consts::PI * radius * radius;
     if area.is_finite() { area } else { 1.0 }
 }
+
+#[cfg(test)]
+mod tests;

@@ -12,6 +12,7 @@ pub(super) struct Sun {
     /// Irradiance on a facing surface.
     pub(super) irradiance: Vec3,
     /// Half of the angular diameter, radians.
+    #[allow(dead_code)]
     pub(super) radius: f32,
     /// Squared chord from the centre to the rim of the disk on the unit sphere, `4 sin^2(radius / 2) = 2 (1 - cos radius)`:
     /// precise where the cosine is not.
