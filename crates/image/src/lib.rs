@@ -17,6 +17,7 @@ mod exr_read;
 mod exr_write;
 mod hdr;
 mod layers;
+pub mod metrics;
 mod picture;
 mod png;
 mod tone;
