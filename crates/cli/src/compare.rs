@@ -48,7 +48,10 @@ pub fn run(args: &CompareArgs, _context: &mut Context) -> Result<(), CliError> {
         .flatten()
         .map(PathBuf::as_path)
         .collect();
-    output::check_all(&outputs, &[&args.a, &args.b])?;
+    for path in &outputs {
+        output::check(path)?;
+    }
+    output::check_distinct(&outputs, &[&args.a, &args.b])?;
     for path in [&args.a, &args.b] {
         std::fs::metadata(path).map_err(|error| CliError::read(path, &error))?;
     }

@@ -1,5 +1,6 @@
 //! Errors as the user sees them: one line, `error: WHAT: WHERE: what to do`, and an exit code.
 
+use occlude_image::ImageError;
 use occlude_scene::SceneError;
 use std::fmt::Display;
 use std::path::Path;
@@ -62,6 +63,20 @@ impl From<SceneError> for CliError {
     fn from(error: SceneError) -> Self {
         match &error {
             SceneError::Read { path, source } => Self::read(path, source),
+            _ => Self::Input(error.to_string()),
+        }
+    }
+}
+
+impl From<ImageError> for CliError {
+    fn from(error: ImageError) -> Self {
+        match &error {
+            ImageError::Read { path, source } => Self::read(path, source),
+            ImageError::Write { path, source } => Self::failed(
+                "cannot write",
+                path.display(),
+                format!("{source}; a file that was there is unchanged"),
+            ),
             _ => Self::Input(error.to_string()),
         }
     }

@@ -106,7 +106,7 @@ impl Report {
         Self {
             counts: counts(scene),
             emissive_triangles: emissive_triangles(scene),
-            bounds: bounds(scene),
+            bounds: bounds(scene, &Pose::at(scene, 0.0)),
             geometry_bytes: geometry_bytes(scene),
             texture_bytes: scene.images.iter().map(texel_bytes).sum(),
         }
@@ -279,9 +279,8 @@ impl Report {
     }
 }
 
-/// World-space box of everything at time 0.
-fn bounds(scene: &Scene) -> Option<(Vec3, Vec3)> {
-    let pose = Pose::at(scene, 0.0);
+/// World-space box of everything.
+pub fn bounds(scene: &Scene, pose: &Pose) -> Option<(Vec3, Vec3)> {
     let mut bounds: Option<(Vec3, Vec3)> = None;
     for (index, instance) in pose.instances.iter().enumerate() {
         for &position in pose.positions(scene, index) {

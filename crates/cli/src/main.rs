@@ -9,6 +9,7 @@ mod error;
 mod inspect;
 mod merge;
 mod output;
+mod picture;
 mod progress;
 mod render;
 mod scene;

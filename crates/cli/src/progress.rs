@@ -4,7 +4,7 @@ use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use occlude_render::job::{self, Job};
 use std::io::IsTerminal;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 /// Steps of the bar.
@@ -18,6 +18,7 @@ pub struct Progress {
     bar: ProgressBar,
     visible: bool,
     finished: Arc<AtomicBool>,
+    limit_ms: Arc<AtomicU64>,
 }
 
 impl Progress {
@@ -25,22 +26,38 @@ impl Progress {
     pub fn new(job: &Job, quiet: bool) -> Self {
         let visible = !quiet && std::io::stderr().is_terminal();
         let finished = Arc::new(AtomicBool::new(false));
+        let limit_ms = Arc::new(AtomicU64::new(0));
         if !visible {
             return Self {
                 bar: ProgressBar::hidden(),
                 visible,
                 finished,
+                limit_ms,
             };
         }
         let bar = ProgressBar::with_draw_target(Some(STEPS), ProgressDrawTarget::stderr());
-        let (line, job, end) = (bar.clone(), job.clone(), Arc::clone(&finished));
+        let (line, job, end, limit) = (
+            bar.clone(),
+            job.clone(),
+            Arc::clone(&finished),
+            Arc::clone(&limit_ms),
+        );
         // Detached: it ends with the program or soon after `finish`.
-        std::thread::spawn(move || watch(&line, &job, &end));
+        std::thread::spawn(move || watch(&line, &job, &end, &limit));
         Self {
             bar,
             visible,
             finished,
+            limit_ms,
         }
+    }
+
+    /// Tells that rendering ends after this time at the latest.
+    pub fn expect(&self, limit: Option<Duration>) {
+        let milliseconds = limit.map_or(0, |limit| {
+            u64::try_from(limit.as_millis()).unwrap_or(u64::MAX)
+        });
+        self.limit_ms.store(milliseconds, Ordering::SeqCst);
     }
 
     /// Prints without disturbing the line.
@@ -66,14 +83,26 @@ impl Progress {
     }
 }
 
-fn watch(bar: &ProgressBar, job: &Job, finished: &AtomicBool) {
+fn watch(bar: &ProgressBar, job: &Job, finished: &AtomicBool, limit_ms: &AtomicU64) {
     let mut start = job.progress();
     let mut began = Instant::now();
     loop {
         std::thread::sleep(PERIOD);
-        let now = job.progress();
+        let mut now = job.progress();
         if now.phase != start.phase || now.done < start.done {
             (start, began) = (now, Instant::now());
+        }
+        let mut shown_start = start;
+        let limit = limit_ms.load(Ordering::SeqCst);
+        let elapsed = u64::try_from(began.elapsed().as_millis()).unwrap_or(u64::MAX);
+        // Whichever comes first: all samples, or the end of the time.
+        if now.total > 0
+            && limit > 0
+            && u128::from(elapsed) * u128::from(now.total)
+                > u128::from(now.done) * u128::from(limit)
+        {
+            (now.done, now.total) = (elapsed, limit);
+            shown_start.done = 0;
         }
         // After `finish` nothing may be drawn.
         if finished.load(Ordering::SeqCst) {
@@ -89,7 +118,7 @@ fn watch(bar: &ProgressBar, job: &Job, finished: &AtomicBool) {
         bar.set_style(style.progress_chars("=> "));
         bar.set_prefix(now.phase);
         bar.set_position(STEPS * now.done.min(now.total) / now.total.max(1));
-        bar.set_message(describe(&start, &now, began.elapsed().as_secs_f64()));
+        bar.set_message(describe(&shown_start, &now, began.elapsed().as_secs_f64()));
         bar.tick();
     }
 }

@@ -50,7 +50,7 @@ pub fn run(args: &SceneArgs, context: &mut Context) -> Result<(), CliError> {
             "end the name in .glb",
         ));
     }
-    output::check_all(&[&args.output], &[])?;
+    output::check(&args.output)?;
     let seed = context.common.seed;
     let scene = context.phase("build", |_| {
         procedural::build(args.name, args.triangles, seed)

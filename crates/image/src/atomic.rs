@@ -119,7 +119,10 @@ pub fn check_writable(path: &Path) -> Result<Format, ImageError> {
 }
 
 /// [`check_writable`] for files of any kind.
-pub(crate) fn check_place(path: &Path) -> Result<(), ImageError> {
+///
+/// # Errors
+/// As [`check_writable`].
+pub fn check_place(path: &Path) -> Result<(), ImageError> {
     let unsuitable = |what: &str, cure| ImageError::Destination {
         path: path.to_owned(),
         what: what.to_owned(),

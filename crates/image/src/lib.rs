@@ -22,7 +22,7 @@ mod picture;
 mod png;
 mod tone;
 
-pub use atomic::{check_writable, write_atomically};
+pub use atomic::{check_place, check_writable, write_atomically};
 pub use codec::{
     Encoding, Format, Limits, Look, Opened, decode, read, read_layers, write, write_layers,
 };
