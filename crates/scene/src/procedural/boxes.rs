@@ -18,34 +18,29 @@ pub(super) fn cornell(detail: f32) -> Builder {
     let red = b.material(lambert("red", [0.63, 0.065, 0.05]));
     let green = b.material(lambert("green", [0.14, 0.45, 0.091]));
     let lamp = b.material(emitter("lamp", [17.0, 12.0, 4.0]));
-    let (x, y, z) = (
-        Vec3::X * (2.0 * HALF),
-        Vec3::Y * HEIGHT,
-        Vec3::Z * (2.0 * HALF),
-    );
-    let corner = Vec3::new(-HALF, 0.0, -HALF);
-
+    let (x, y) = ([-HALF, HALF], [0.0, HEIGHT]);
     let mut shell = Shape::default();
-    shell.quad(corner, z, x, n, n);
-    shell.quad(corner + y, x, z, n, n);
-    shell.quad(corner, x, y, n, n);
+    shell.rect(1, true, 0.0, x, x, n);
+    shell.rect(1, false, HEIGHT, x, x, n);
+    shell.rect(2, true, -HALF, x, y, n);
     b.add("floor, ceiling and back wall", shell, white);
     let mut left = Shape::default();
-    left.quad(corner + z, -z, y, n, n);
+    left.rect(0, true, -HALF, y, x, n);
     b.add("left wall", left, red);
     let mut right = Shape::default();
-    right.quad(corner + x, z, y, n, n);
+    right.rect(0, false, HALF, y, x, n);
     b.add("right wall", right, green);
     let [tall, short] = blocks(n);
     b.add("tall block", tall, white);
     b.add("short block", short, white);
     let mut panel = Shape::default();
     // Half a millimetre below the ceiling, facing down.
-    panel.quad(
-        Vec3::new(-0.065, HEIGHT - 0.0005, -0.0525),
-        Vec3::X * 0.13,
-        Vec3::Z * 0.105,
-        n,
+    panel.rect(
+        1,
+        false,
+        HEIGHT - 0.0005,
+        [-0.0525, 0.0525],
+        [-0.065, 0.065],
         n,
     );
     b.add("lamp", panel, lamp);

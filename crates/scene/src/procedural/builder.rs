@@ -2,8 +2,11 @@
 
 use super::math::{Place, sin_cos};
 use super::shape::Shape;
-use crate::{Camera, Instance, Light, LightKind, Material, Mesh, Node, Projection, Scene};
-use glam::{Affine3A, Mat3, Vec3, Vec4};
+use crate::{
+    Camera, Image, Instance, Light, LightKind, Material, Mesh, Node, Projection, Sampler, Scene,
+    Texels, Texture, TextureRef,
+};
+use glam::{Affine2, Affine3A, Mat3, Vec3, Vec4};
 
 pub(super) struct Builder {
     pub scene: Scene,
@@ -105,6 +108,57 @@ impl Builder {
         if !shape.triangles.is_empty() {
             let mesh = self.mesh(name, shape, material);
             self.put(name, mesh, Place::HERE);
+        }
+    }
+
+    /// The meshes of a thing made of several materials.
+    pub fn model(&mut self, name: &str, parts: Vec<(u32, Shape)>) -> Vec<u32> {
+        parts
+            .into_iter()
+            .filter(|(_, shape)| !shape.triangles.is_empty())
+            .map(|(material, shape)| self.mesh(name, shape, material))
+            .collect()
+    }
+
+    /// A thing at a place in the world.
+    pub fn place(&mut self, name: &str, meshes: &[u32], place: Place) {
+        let node = self.node(name, place.affine());
+        for &mesh in meshes {
+            self.instance(mesh, node, Affine3A::IDENTITY);
+        }
+    }
+
+    /// A repeating picture: an sRGB texture of `side` times `side` texels.
+    pub fn picture(
+        &mut self,
+        name: &str,
+        side: u32,
+        texel: impl Fn(u32, u32) -> [u8; 3],
+    ) -> TextureRef {
+        let texels = (0..side * side)
+            .map(|i| {
+                let [r, g, b] = texel(i % side, i / side);
+                [r, g, b, 255]
+            })
+            .collect();
+        let image = self.scene.images.len() as u32;
+        self.scene.images.push(Image {
+            name: name.into(),
+            width: side,
+            height: side,
+            texels: Texels::Rgba8(texels),
+        });
+        let sampler = Sampler::default();
+        self.scene.textures.push(Texture {
+            image,
+            sampler,
+            srgb: true,
+        });
+        let texture = self.scene.textures.len() as u32 - 1;
+        TextureRef {
+            texture,
+            uv_set: 0,
+            transform: Affine2::IDENTITY,
         }
     }
 

@@ -4,8 +4,10 @@
 //! and no two faces coincide. Randomness comes from an own generator, sines from an own series: the standard library's
 //! differ between platforms.
 
+mod apartment;
 mod boxes;
 mod builder;
+mod furniture;
 mod math;
 mod shape;
 
@@ -22,17 +24,20 @@ pub enum Name {
     Cornell,
     /// A closed room with radiance 1 everywhere.
     Furnace,
+    /// Six rooms, furniture, 24 lamps, a sun, sky through windows.
+    Apartment,
 }
 
 impl Name {
     /// All of them.
-    pub const ALL: &[Self] = &[Self::Cornell, Self::Furnace];
+    pub const ALL: &[Self] = &[Self::Cornell, Self::Furnace, Self::Apartment];
 
     /// As on the command line.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Cornell => "cornell",
             Self::Furnace => "furnace",
+            Self::Apartment => "apartment",
         }
     }
 
@@ -41,14 +46,15 @@ impl Name {
         match self {
             Self::Cornell => "the classic box: two blocks, one area light",
             Self::Furnace => "a closed room with radiance 1 in every pixel",
+            Self::Apartment => "six furnished rooms, 24 lamps, a sun, sky through windows",
         }
     }
 
     fn make(self, detail: f32, seed: u64) -> Builder {
-        let _ = seed;
         match self {
             Self::Cornell => boxes::cornell(detail),
             Self::Furnace => boxes::furnace(detail),
+            Self::Apartment => apartment::apartment(detail, seed),
         }
     }
 }

@@ -31,35 +31,100 @@ impl Shape {
         }
     }
 
-    /// Adds a parallelogram of `nu` times `nv` cells; its front is where `u` times `v` points. UV is in `0..1`.
-    pub fn quad(&mut self, corner: Vec3, u: Vec3, v: Vec3, nu: u32, nv: u32) {
-        let normal = u.cross(v).normalize_or(Vec3::Y);
+    /// Adds an axis-aligned rectangle of `n` times `n` cells at coordinate `at` of an axis; its front faces up that axis or
+    /// down. The other two axes follow in cyclic order. Corners are the given numbers, so that neighbours meet exactly.
+    pub fn rect(&mut self, axis: usize, up: bool, at: f32, a: [f32; 2], b: [f32; 2], n: u32) {
         let first = self.positions.len() as u32;
-        for j in 0..=nv {
-            for i in 0..=nu {
-                let (s, t) = (i as f32 / nu as f32, j as f32 / nv as f32);
-                // The far ends are sums of corners, so that neighbours meet in the same bits.
-                let along = |edge: Vec3, f: f32| if f == 1.0 { edge } else { edge * f };
-                let p = corner + along(u, s) + along(v, t);
-                self.vertex(p, normal, Vec2::new(s, 1.0 - t));
+        let step = |range: [f32; 2], i: u32| {
+            if i == n {
+                range[1]
+            } else {
+                range[0] + (range[1] - range[0]) * (i as f32 / n as f32)
+            }
+        };
+        let mut normal = Vec3::ZERO;
+        normal[axis] = if up { 1.0 } else { -1.0 };
+        for j in 0..=n {
+            for i in 0..=n {
+                // Facing down, the two axes change places.
+                let (along, across) = if up { (i, j) } else { (j, i) };
+                let mut p = Vec3::ZERO;
+                p[axis] = at;
+                p[(axis + 1) % 3] = step(a, along);
+                p[(axis + 2) % 3] = step(b, across);
+                self.vertex(p, normal, Vec2::new(i as f32, (n - j) as f32) / n as f32);
             }
         }
-        self.weave(first, nu, nv);
+        self.weave(first, n, n);
     }
 
     /// Adds an axis-aligned box; each face has `n` times `n` cells.
     pub fn block(&mut self, low: Vec3, high: Vec3, n: u32) {
-        let (x, y, z) = (
-            Vec3::X * (high.x - low.x),
-            Vec3::Y * (high.y - low.y),
-            Vec3::Z * (high.z - low.z),
-        );
-        self.quad(low + z, x, y, n, n);
-        self.quad(low + x, -x, y, n, n);
-        self.quad(low + x + z, -z, y, n, n);
-        self.quad(low, z, y, n, n);
-        self.quad(low + y + z, x, -z, n, n);
-        self.quad(low, x, z, n, n);
+        for axis in 0..3 {
+            let (a, b) = ((axis + 1) % 3, (axis + 2) % 3);
+            let (a, b) = ([low[a], high[a]], [low[b], high[b]]);
+            self.rect(axis, false, low[axis], a, b, n);
+            self.rect(axis, true, high[axis], a, b, n);
+        }
+    }
+
+    /// Adds an upright wall, the box from `low` to `high`, with rectangular holes through it. It runs along X or along Z.
+    /// Holes are (from, to) along the wall and (bottom, top); all faces share the corners of one grid.
+    pub fn wall(&mut self, low: Vec3, high: Vec3, along_x: bool, holes: &[([f32; 2], [f32; 2])]) {
+        let u = if along_x { 0 } else { 2 };
+        let w = 2 - u;
+        let lines = |axis: usize, of: fn(&([f32; 2], [f32; 2])) -> [f32; 2]| {
+            let mut all = vec![low[axis], high[axis]];
+            all.extend(
+                holes
+                    .iter()
+                    .flat_map(of)
+                    .filter(|&x| x > low[axis] && x < high[axis]),
+            );
+            all.sort_by(f32::total_cmp);
+            all.dedup();
+            all
+        };
+        let (xs, ys) = (lines(u, |h| h.0), lines(1, |h| h.1));
+        let inside = |range: [f32; 2], a: f32, b: f32| range[0] <= a && b <= range[1];
+        let solid = |i: isize, j: isize| {
+            let (Ok(i), Ok(j)) = (usize::try_from(i), usize::try_from(j)) else {
+                return false;
+            };
+            i + 1 < xs.len()
+                && j + 1 < ys.len()
+                && !holes
+                    .iter()
+                    .any(|h| inside(h.0, xs[i], xs[i + 1]) && inside(h.1, ys[j], ys[j + 1]))
+        };
+        for i in 0..xs.len() - 1 {
+            for j in 0..ys.len() - 1 {
+                let (si, sj) = (i as isize, j as isize);
+                if !solid(si, sj) {
+                    continue;
+                }
+                let mut bounds = [[0.0; 2]; 3];
+                bounds[u] = [xs[i], xs[i + 1]];
+                bounds[1] = [ys[j], ys[j + 1]];
+                bounds[w] = [low[w], high[w]];
+                let mut face = |axis: usize, up: bool| {
+                    let (a, b) = (bounds[(axis + 1) % 3], bounds[(axis + 2) % 3]);
+                    self.rect(axis, up, bounds[axis][usize::from(up)], a, b, 1);
+                };
+                face(w, false);
+                face(w, true);
+                for (axis, up, open) in [
+                    (u, false, !solid(si - 1, sj)),
+                    (u, true, !solid(si + 1, sj)),
+                    (1, false, !solid(si, sj - 1)),
+                    (1, true, !solid(si, sj + 1)),
+                ] {
+                    if open {
+                        face(axis, up);
+                    }
+                }
+            }
+        }
     }
 
     /// Adds another shape at a place. Mirroring places turn the triangles around, so fronts stay outside.
