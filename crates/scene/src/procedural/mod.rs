@@ -7,7 +7,10 @@
 mod apartment;
 mod boxes;
 mod builder;
+mod conference;
+mod courtyard;
 mod furniture;
+mod hairball;
 mod math;
 mod shape;
 
@@ -26,11 +29,24 @@ pub enum Name {
     Furnace,
     /// Six rooms, furniture, 24 lamps, a sun, sky through windows.
     Apartment,
+    /// A meeting room under emissive panels.
+    Conference,
+    /// A ball of thin strands.
+    Hairball,
+    /// Buildings around a yard of instanced foliage.
+    Courtyard,
 }
 
 impl Name {
     /// All of them.
-    pub const ALL: &[Self] = &[Self::Cornell, Self::Furnace, Self::Apartment];
+    pub const ALL: &[Self] = &[
+        Self::Cornell,
+        Self::Furnace,
+        Self::Apartment,
+        Self::Conference,
+        Self::Hairball,
+        Self::Courtyard,
+    ];
 
     /// As on the command line.
     pub fn as_str(self) -> &'static str {
@@ -38,6 +54,9 @@ impl Name {
             Self::Cornell => "cornell",
             Self::Furnace => "furnace",
             Self::Apartment => "apartment",
+            Self::Conference => "conference",
+            Self::Hairball => "hairball",
+            Self::Courtyard => "courtyard",
         }
     }
 
@@ -47,6 +66,9 @@ impl Name {
             Self::Cornell => "the classic box: two blocks, one area light",
             Self::Furnace => "a closed room with radiance 1 in every pixel",
             Self::Apartment => "six furnished rooms, 24 lamps, a sun, sky through windows",
+            Self::Conference => "a meeting room under emissive panels",
+            Self::Hairball => "a ball of thin curved strands",
+            Self::Courtyard => "a yard of instanced foliage: ten million triangles seen flat",
         }
     }
 
@@ -55,6 +77,9 @@ impl Name {
             Self::Cornell => boxes::cornell(detail),
             Self::Furnace => boxes::furnace(detail),
             Self::Apartment => apartment::apartment(detail, seed),
+            Self::Conference => conference::conference(detail, seed),
+            Self::Hairball => hairball::hairball(detail, seed),
+            Self::Courtyard => courtyard::courtyard(detail, seed),
         }
     }
 }

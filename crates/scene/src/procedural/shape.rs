@@ -127,6 +127,21 @@ impl Shape {
         }
     }
 
+    /// Adds a flat convex polygon, counterclockwise seen from its front.
+    pub fn flat_polygon(&mut self, corners: &[Vec3]) {
+        let normal = corners
+            .windows(2)
+            .map(|w| (w[0] - corners[0]).cross(w[1] - corners[0]))
+            .sum::<Vec3>()
+            .normalize_or(Vec3::Y);
+        let first = self.positions.len() as u32;
+        for &corner in corners {
+            self.vertex(corner, normal, Vec2::ZERO);
+        }
+        self.triangles
+            .extend((2..corners.len() as u32).map(|k| [first, first + k - 1, first + k]));
+    }
+
     /// Adds another shape at a place. Mirroring places turn the triangles around, so fronts stay outside.
     pub fn add(&mut self, other: &Shape, place: &Place) {
         let first = self.positions.len() as u32;
