@@ -18,7 +18,7 @@ pub(super) struct Facet {
 }
 
 impl Facet {
-    /// `None` if the triangle has no area or no finite place.
+    /// `None` if the triangle has no area or no place that can be computed with.
     pub(super) fn new(triangle: &WorldTriangle) -> Option<Self> {
         let [origin, b, c] = triangle.corners;
         let (edge1, edge2) = (b - origin, c - origin);
@@ -29,15 +29,14 @@ impl Facet {
         let winding = if triangle.mirrored { -1.0 } else { 1.0 };
         let front = cross * (winding / double_area);
         let area = 0.5 * double_area * size * size;
-        (area > 0.0 && area.is_finite() && front.is_finite() && origin.is_finite()).then_some(
-            Self {
+        (area > 0.0 && area.is_finite() && front.is_finite() && triangle.extent() < super::FARTHEST)
+            .then_some(Self {
                 origin,
                 edge1,
                 edge2,
                 front,
                 area,
-            },
-        )
+            })
     }
 
     /// The point with these barycentric weights of the second and third vertex.

@@ -16,11 +16,12 @@ mod punctual;
 mod select;
 mod spherical;
 mod sun;
+mod tree;
 
 pub use emitter::emission;
 pub use environment::Environment;
 
-use emitter::Emitters;
+use emitter::{EmissiveTriangle, Emitters};
 use glam::{Vec2, Vec3};
 use occlude_scene::{LightKind, Pose, PosedLight, Scene};
 use occlude_visibility::{Endpoint, LightEnd, offset_along_normal};
@@ -139,42 +140,89 @@ impl Lights {
         let environment = Some(environment.unwrap_or_else(|| Environment::constant(scene.sky)))
             .filter(|e| !e.is_black());
 
-        let at_infinity = !directions.is_empty() || !suns.is_empty() || environment.is_some();
-        let cross_section = if at_infinity {
-            cross_section(scene, pose)
-        } else {
-            0.0
-        };
-        let mut powers: Vec<f32> = points.iter().map(PointLight::power).collect();
-        powers.extend(
-            emitters
-                .triangles
-                .iter()
-                .map(emitter::EmissiveTriangle::power),
-        );
-        powers.extend(
-            directions
-                .iter()
-                .map(|d| luminance(d.irradiance) * cross_section),
-        );
-        powers.extend(suns.iter().map(|s| luminance(s.irradiance) * cross_section));
-        powers.extend(
-            environment
-                .iter()
-                .map(|e| luminance(e.integral()) * cross_section),
-        );
-        for power in &mut powers {
-            *power = power.clamp(f32::MIN_POSITIVE, f32::MAX);
-        }
-        let selector = Selector::new(selection, &powers);
-        Self {
+        let mut lights = Self {
             points,
             emitters,
             directions,
             suns,
             environment,
-            selector,
-        }
+            selector: Selector::Nothing,
+        };
+        lights.selector = match selection {
+            LightSelection::Uniform => Selector::uniform(lights.len()),
+            LightSelection::Power => Selector::by_power(&lights.powers(scene, pose)),
+            LightSelection::Tree => Selector::by_tree(&lights.bounds()),
+        };
+        lights
+    }
+
+    /// Emitted power of each light; of those infinitely far away, what falls on the scene.
+    fn powers(&self, scene: &Scene, pose: &Pose) -> Vec<f32> {
+        let at_infinity = self.len() > self.first_direction();
+        let cross_section = if at_infinity {
+            cross_section(scene, pose)
+        } else {
+            0.0
+        };
+        let points = self.points.iter().map(PointLight::power);
+        let triangles = self.emitters.triangles.iter().map(EmissiveTriangle::power);
+        let directions = self
+            .directions
+            .iter()
+            .map(|d| luminance(d.irradiance) * cross_section);
+        let suns = self
+            .suns
+            .iter()
+            .map(|s| luminance(s.irradiance) * cross_section);
+        let environment = self
+            .environment
+            .iter()
+            .map(|e| luminance(e.integral()) * cross_section);
+        let powers = points
+            .chain(triangles)
+            .chain(directions)
+            .chain(suns)
+            .chain(environment);
+        powers
+            .map(|power| power.clamp(f32::MIN_POSITIVE, f32::MAX))
+            .collect()
+    }
+
+    /// Bounds of the lights at finite places.
+    fn bounds(&self) -> Vec<tree::Bounds> {
+        let points = self.points.iter().map(tree::Bounds::of_point);
+        points
+            .chain(
+                self.emitters
+                    .triangles
+                    .iter()
+                    .map(tree::Bounds::of_triangle),
+            )
+            .collect()
+    }
+
+    /// Bounds on the irradiance from each light infinitely far away: exact directions, suns, environment.
+    fn irradiance_bounds(&self, normal: Vec3) -> impl Iterator<Item = f32> + Clone {
+        let directions = self.directions.iter().map(move |d| {
+            let cosine = if normal == Vec3::ZERO {
+                1.0
+            } else {
+                normal.dot(d.towards).max(0.0)
+            };
+            luminance(d.irradiance) * cosine
+        });
+        let suns = self.suns.iter().map(move |s| s.irradiance_bound(normal));
+        // No bound, but what a surface receives on average over the ways that it can face. Never 0.
+        let environment = self
+            .environment
+            .iter()
+            .map(|e| (0.25 * luminance(e.integral())).max(f32::MIN_POSITIVE));
+        directions.chain(suns).chain(environment)
+    }
+
+    fn pmf(&self, position: Vec3, normal: Vec3, light: usize) -> f32 {
+        self.selector
+            .pmf(position, normal, light, self.irradiance_bounds(normal))
     }
 
     /// Number of lights (emissive triangles counted one by one, the environment as one).
@@ -219,7 +267,9 @@ impl Lights {
         pick: f32,
         u: Vec2,
     ) -> Option<LightSample> {
-        let (light, pmf) = self.selector.pick(position, normal, pick, u)?;
+        let (light, pmf) =
+            self.selector
+                .pick(position, normal, pick, u, self.irradiance_bounds(normal))?;
         let sample = match self.which(light) {
             Which::Point(i) => sample_point(&self.points[i], position, pmf),
             Which::Triangle(i) => self.sample_triangle(scene, i, position, normal, pmf, u),
@@ -314,9 +364,7 @@ impl Lights {
         if pdf == 0.0 {
             return 0.0;
         }
-        pdf * self
-            .selector
-            .pmf(position, normal, self.points.len() + index)
+        pdf * self.pmf(position, normal, self.points.len() + index)
     }
 
     /// Density per steradian with which [`Lights::sample`] finds the environment in unit direction `wi`.
@@ -324,13 +372,11 @@ impl Lights {
         let mut pdf = 0.0;
         for (i, sun) in self.suns.iter().enumerate() {
             if sun.contains(wi) {
-                pdf += sun.density() * self.selector.pmf(position, normal, self.first_sun() + i);
+                pdf += sun.density() * self.pmf(position, normal, self.first_sun() + i);
             }
         }
         if let Some(environment) = &self.environment {
-            let pmf = self
-                .selector
-                .pmf(position, normal, self.first_sun() + self.suns.len());
+            let pmf = self.pmf(position, normal, self.first_sun() + self.suns.len());
             pdf += environment.pdf(normal, wi) * pmf;
         }
         pdf
@@ -351,8 +397,12 @@ impl Lights {
     }
 }
 
+/// Further away than this, squared distances overflow and no light would arrive anyway.
+const FARTHEST: f32 = 1e18;
+
 fn is_sane(light: &PosedLight) -> bool {
-    light.position.is_finite()
+    light.position.abs().max_element() < FARTHEST
+        && light.position.is_finite()
         && light.direction.is_normalized()
         && light.intensity.is_finite()
         && light.intensity.min_element() >= 0.0

@@ -16,7 +16,6 @@ pub(super) struct PointLight {
 pub(super) struct Cone {
     /// Unit vector along which the light shines.
     pub(super) axis: Vec3,
-    #[allow(dead_code)]
     pub(super) inner_angle: f32,
     pub(super) outer_angle: f32,
     scale: f32,

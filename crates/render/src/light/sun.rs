@@ -12,7 +12,6 @@ pub(super) struct Sun {
     /// Irradiance on a facing surface.
     pub(super) irradiance: Vec3,
     /// Half of the angular diameter, radians.
-    #[allow(dead_code)]
     pub(super) radius: f32,
     /// Squared chord from the centre to the rim of the disk on the unit sphere, `4 sin^2(radius / 2) = 2 (1 - cos radius)`:
     /// precise where the cosine is not.
@@ -49,6 +48,18 @@ impl Sun {
         let (s, t) = self.towards.any_orthonormal_pair();
         let (sin_phi, cos_phi) = (2.0 * PI * u.y).sin_cos();
         (self.towards * (1.0 - m) + (s * cos_phi + t * sin_phi) * sin).normalize()
+    }
+
+    /// An upper bound of the irradiance on a surface; `normal` may be zero: light from all sides counts.
+    pub(super) fn irradiance_bound(&self, normal: Vec3) -> f32 {
+        let lowest = if normal == Vec3::ZERO {
+            1.0
+        } else {
+            // The highest point of the disk above the horizon; a hair more, for rounding.
+            let angle = normal.dot(self.towards).clamp(-1.0, 1.0).acos() - self.radius - 1e-3;
+            angle.max(0.0).cos().max(0.0)
+        };
+        super::luminance(self.irradiance) * lowest
     }
 
     /// Density of [`Sun::sample`] inside of the disk, per steradian.

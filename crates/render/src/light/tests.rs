@@ -396,7 +396,7 @@ fn assert_chi_square(counts: &[f64], expected: &[f64], what: &str) {
 #[test]
 fn triangle_samples_follow_pdf_surface() {
     const CELLS: usize = 8;
-    const FINE: usize = 64;
+    const FINE: usize = 48;
     let mut random = Random(77);
     let mut compared = 0;
     for case in 0..60 {
@@ -413,7 +413,7 @@ fn triangle_samples_follow_pdf_surface() {
             center.normalize()
         };
         let what = format!("case {case}, spread {spread}");
-        let n = 40_000;
+        let n = 20_000;
         let mut counts = vec![0.0_f64; CELLS * CELLS];
         let mut drawn = 0;
         for _ in 0..n {
