@@ -1,0 +1,318 @@
+//! Options of `occlude render`, and what must hold before any work.
+
+use crate::error::CliError;
+use crate::output;
+use crate::picture::{Aov, aovs};
+use crate::values::{self, Look as CameraLook, Shard, Size, Sun};
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use clap::{Args, ValueEnum};
+use occlude_image::{Format, ToneMap};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// Samples a pixel when nothing else says when to stop.
+const DEFAULT_SAMPLES: u32 = 64;
+
+/// Samples a pixel at most.
+const MAX_SAMPLES: u32 = 1 << 24;
+
+/// Options of `occlude render`.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  occlude render sponza.glb -o sponza.png
+  occlude render room.glb -o room.exr -o room.png --samples 256 --size 1920x1080
+  occlude render statue.obj --environment sky.hdr --time-limit 30s -o statue.png
+  occlude render big.glb -o part1.exr --shard 1/4    (then: occlude merge part*.exr -o big.exr)")]
+
+pub struct RenderArgs {
+    /// Scene: .glb, .gltf or .obj
+    pub scene: PathBuf,
+
+    /// Picture to write, by its ending: .exr and .hdr hold scene-linear Rec. 709 radiance, .png is exposed and tone
+    /// mapped (see --tonemap). May be given several times [default: the scene's name with .png, in this folder]
+    #[arg(short, long = "output", value_name = "FILE", help_heading = "Output")]
+    pub output: Vec<PathBuf>,
+
+    /// Further layers in every .exr output: albedo, normal (world space), depth (metres), variance (of the pixel's luminance)
+    #[arg(
+        long,
+        value_enum,
+        value_delimiter = ',',
+        value_name = "LIST",
+        help_heading = "Output"
+    )]
+    pub aov: Vec<Aov>,
+
+    /// Exposure of .png outputs in stops: +1 doubles the brightness
+    #[arg(long, value_name = "EV", default_value = "0", value_parser = values::number, allow_hyphen_values = true, help_heading = "Output")]
+    pub exposure: f32,
+
+    /// How .png outputs turn radiance into display colours
+    #[arg(long, value_name = "NAME", default_value = ToneMap::default().name(), value_parser = tone_maps(), help_heading = "Output")]
+    pub tonemap: ToneMap,
+
+    /// Store .exr outputs with 16 bits a channel [default: 32]
+    #[arg(long, help_heading = "Output")]
+    pub half: bool,
+
+    /// Not built in yet: refused
+    #[arg(long, help_heading = "Output")]
+    pub denoise: bool,
+
+    /// Width and height in pixels; the vertical field of view is kept
+    #[arg(
+        long,
+        value_name = "WxH",
+        default_value = "1280x720",
+        help_heading = "View"
+    )]
+    pub size: Size,
+
+    /// Camera of the file, by name or by index from 0 [default: the first; a file without cameras is framed whole]
+    #[arg(long, value_name = "NAME|INDEX", help_heading = "View")]
+    pub camera: Option<String>,
+
+    /// Own camera: eye and target in metres
+    #[arg(
+        long,
+        value_name = "EX,EY,EZ,TX,TY,TZ",
+        allow_hyphen_values = true,
+        conflicts_with = "camera",
+        help_heading = "View"
+    )]
+    pub camera_look: Option<CameraLook>,
+
+    /// Vertical field of view of --camera-look in degrees
+    #[arg(long, value_name = "DEG", default_value = "40", value_parser = values::field_of_view, allow_negative_numbers = true, requires = "camera_look", help_heading = "View")]
+    pub fov: f32,
+
+    /// Scene of the file, by name or by index from 0 [default: the file's own choice]
+    #[arg(long, value_name = "NAME|INDEX", help_heading = "View")]
+    pub gltf_scene: Option<String>,
+
+    /// Moment of the file's animations in seconds
+    #[arg(long, value_name = "T", default_value = "0", value_parser = values::number, allow_hyphen_values = true, help_heading = "View")]
+    pub time: f32,
+
+    /// How samples spread around a pixel's centre
+    #[arg(long, value_enum, default_value_t = Filter::Box, help_heading = "View")]
+    pub filter: Filter,
+
+    /// Latitude-longitude sky (.hdr, .exr): row 0 is up, the middle column lies along +X
+    #[arg(long, value_name = "FILE", help_heading = "Light")]
+    pub environment: Option<PathBuf>,
+
+    /// Turn the sky about +Y, degrees, counterclockwise seen from above
+    #[arg(long, value_name = "DEG", default_value = "0", value_parser = values::number, allow_hyphen_values = true, help_heading = "Light")]
+    pub environment_rotation: f32,
+
+    /// Factor on the sky's radiance
+    #[arg(long, value_name = "X", default_value = "1", value_parser = values::not_negative, allow_negative_numbers = true, help_heading = "Light")]
+    pub environment_scale: f32,
+
+    /// Add a sun: azimuth (from +X towards +Z) and elevation in degrees, and its irradiance on a facing surface
+    /// [default: pi, which a white surface shows as radiance 1]
+    #[arg(
+        long,
+        value_name = "AZ,EL[,IRRADIANCE]",
+        allow_hyphen_values = true,
+        help_heading = "Light"
+    )]
+    pub sun: Option<Sun>,
+
+    /// path: all light paths; direct: light that comes straight from lights; ao: ambient occlusion, white surfaces in an even sky
+    #[arg(long, value_enum, default_value_t = Integrator::Path, help_heading = "Work")]
+    pub integrator: Integrator,
+
+    /// exact: trace every shadow ray; occluder: try the last blocker first (the picture is the same)
+    #[arg(long, value_enum, default_value_t = Strategy::Exact, help_heading = "Work")]
+    pub visibility: Strategy,
+
+    /// Samples a pixel [default: 64, or unlimited with --time-limit or --noise]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_SAMPLES)), allow_negative_numbers = true, help_heading = "Work")]
+    pub samples: Option<u32>,
+
+    /// Stop after this time of rendering, such as 30s or 2m (whole passes: it may take a little longer)
+    #[arg(long, value_name = "TIME", value_parser = values::duration, help_heading = "Work")]
+    pub time_limit: Option<Duration>,
+
+    /// Stop when the mean relative standard error of the pixels is below this, such as 0.02
+    #[arg(long, value_name = "T", value_parser = values::positive, allow_negative_numbers = true, help_heading = "Work")]
+    pub noise: Option<f32>,
+
+    /// Scattering events on a path at most: 0 sees emitters only, 1 adds direct light, 2 one indirect bounce
+    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(0..=65_535), allow_negative_numbers = true, help_heading = "Work")]
+    pub max_depth: u32,
+
+    /// Where sample points come from
+    #[arg(long, value_enum, default_value_t = Sampler::Sobol, help_heading = "Work")]
+    pub sampler: Sampler,
+
+    /// How a light is chosen: all alike, by power, or by a tree over place and power (for many lights)
+    #[arg(long, value_enum, default_value_t = Lights::Tree, help_heading = "Work")]
+    pub lights: Lights,
+
+    /// Reach of --integrator ao in metres [default: unlimited]
+    #[arg(long, value_name = "M", value_parser = values::positive, allow_negative_numbers = true, help_heading = "Work")]
+    pub ao_distance: Option<f32>,
+
+    /// Where unfinished work is kept [default: the first output's name with .checkpoint]; removed when the work is done
+    #[arg(long, value_name = "FILE", help_heading = "Work")]
+    pub checkpoint: Option<PathBuf>,
+
+    /// Continue from the checkpoint if there is one; the end is the same to the byte
+    #[arg(long, help_heading = "Work")]
+    pub resume: bool,
+
+    /// Do part I of N (I from 0) of the samples and write a mergeable part instead of a picture: see occlude merge
+    #[arg(long, value_name = "I/N", help_heading = "Work")]
+    pub shard: Option<Shard>,
+}
+
+impl RenderArgs {
+    /// Refuses what cannot work before anything is read or written.
+    pub fn check(&mut self) -> Result<(), CliError> {
+        if self.denoise {
+            return Err(CliError::input(
+                "not built in yet",
+                "--denoise",
+                "render more samples, or denoise the EXR (with --aov albedo,normal) in another program",
+            ));
+        }
+        if self.output.is_empty() {
+            let name = self.scene.file_stem().unwrap_or("picture".as_ref());
+            self.output.push(Path::new(name).with_extension("png"));
+        }
+        std::fs::metadata(&self.scene)
+            .and_then(|data| {
+                if data.is_dir() {
+                    Err(std::io::ErrorKind::IsADirectory.into())
+                } else {
+                    Ok(())
+                }
+            })
+            .map_err(|error| CliError::read(&self.scene, &error))?;
+        let formats = self
+            .output
+            .iter()
+            .map(|path| output::check_picture(path))
+            .collect::<Result<Vec<_>, _>>()?;
+        if !self.aov.is_empty() && !formats.contains(&Format::Exr) {
+            return Err(CliError::input(
+                "no .exr output",
+                "--aov",
+                "layers need one: add -o FILE.exr",
+            ));
+        }
+        if self.shard.is_some() {
+            if self.time_limit.is_some() || self.noise.is_some() {
+                return Err(CliError::input(
+                    "shards need a fixed number of samples",
+                    "--shard",
+                    "use --samples without --time-limit and --noise",
+                ));
+            }
+            if self.output.len() != 1 {
+                return Err(CliError::input(
+                    "a shard writes one part",
+                    "--shard",
+                    "give exactly one -o FILE",
+                ));
+            }
+        }
+        let inputs: Vec<&Path> = [Some(&self.scene), self.environment.as_ref()]
+            .into_iter()
+            .flatten()
+            .map(PathBuf::as_path)
+            .collect();
+        let checkpoint = self.checkpoint_path();
+        let mut outputs: Vec<&Path> = self.output.iter().map(PathBuf::as_path).collect();
+        outputs.push(&checkpoint);
+        output::check(&checkpoint)?;
+        output::check_distinct(&outputs, &inputs)
+    }
+
+    /// Where unfinished work is kept.
+    pub fn checkpoint_path(&self) -> PathBuf {
+        self.checkpoint.clone().unwrap_or_else(|| {
+            let mut name = self
+                .output
+                .first()
+                .map(|path| path.clone().into_os_string())
+                .unwrap_or_default();
+            name.push(".checkpoint");
+            name.into()
+        })
+    }
+
+    pub fn records_features(&self) -> bool {
+        aovs(&self.aov).needs_features()
+    }
+
+    /// Samples a pixel of the whole work, shards together.
+    pub fn total_samples(&self) -> u32 {
+        let open_ended = self.time_limit.is_some() || self.noise.is_some();
+        self.samples.unwrap_or(if open_ended {
+            MAX_SAMPLES
+        } else {
+            DEFAULT_SAMPLES
+        })
+    }
+}
+
+fn tone_maps() -> impl TypedValueParser<Value = ToneMap> {
+    let values = ToneMap::ALL.map(|map| PossibleValue::new(map.name()).help(map.title()));
+    PossibleValuesParser::new(values).try_map(|text| text.parse::<ToneMap>())
+}
+
+/// What is computed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+#[value(rename_all = "lower")]
+pub enum Integrator {
+    /// All light paths up to --max-depth
+    Path,
+    /// Direct light alone
+    Direct,
+    /// Ambient occlusion
+    Ao,
+}
+
+/// How visibility questions are answered.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Strategy {
+    /// A ray for every question
+    Exact,
+    /// The last blocker first, then a ray: same answers
+    Occluder,
+}
+
+/// Reconstruction filters.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Filter {
+    /// The mean over the pixel's square
+    Box,
+    /// A tent of one pixel's radius
+    Tent,
+    /// A Gaussian of half a pixel's deviation, cut at 1.5 pixels
+    Gaussian,
+}
+
+/// Sample sequences.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Sampler {
+    /// Owen-scrambled Sobol points
+    Sobol,
+    /// Independent random numbers
+    Independent,
+}
+
+/// Light selection.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Lights {
+    /// All lights alike
+    Uniform,
+    /// In proportion to power
+    Power,
+    /// A tree over place, direction and power
+    Tree,
+}

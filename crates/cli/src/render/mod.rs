@@ -1,0 +1,293 @@
+//! `occlude render`: a scene becomes a picture.
+
+mod args;
+mod setup;
+
+pub use args::RenderArgs;
+
+use crate::context::Context;
+use crate::error::CliError;
+use crate::inspect::counts;
+use crate::picture::Finish;
+use crate::{VERSION, merge, output, signals, stats};
+use args::{Filter, Integrator, Sampler, Strategy};
+use occlude_image::{Depth, Look, Picture};
+use occlude_render::camera::{PixelFilter, View};
+use occlude_render::film::Film;
+use occlude_render::geometry::Geometry;
+use occlude_render::integrator::{self, RenderSettings, StoppedBy, World, render};
+use occlude_render::sampling::SamplerKind;
+use occlude_render::work::{Work, shard_samples};
+use occlude_scene::{Pose, Scene};
+use occlude_visibility::{Exact, Occluder, Visibility};
+use setup::{build, load, view};
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+/// How often unfinished work is saved.
+const CHECKPOINT_PERIOD: Duration = Duration::from_secs(60);
+
+/// Runs `occlude render`.
+pub fn run(mut args: RenderArgs, context: &mut Context) -> Result<(), CliError> {
+    args.check()?;
+    let (scene, sky) = context.phase("load", |context| load(&args, context))?;
+    let pose = Pose::at(&scene, args.time);
+    let view = view(&args, &scene, &pose)?;
+    let film_bytes = Film::bytes(args.size.width, args.size.height, args.records_features());
+    if context
+        .common
+        .memory
+        .is_some_and(|limit| film_bytes > limit)
+    {
+        return Err(CliError::input(
+            format_args!("the film alone needs {film_bytes} bytes"),
+            format_args!("--size {}", args.size),
+            "raise --memory or lower --size",
+        ));
+    }
+    let (geometry, lights) =
+        context.phase("build", |_| build(&args, &scene, &pose, sky.as_ref()))?;
+    let mut counts = counts(&scene);
+    counts.lights = lights.len() as u64;
+    context.stats.scene_counts = Some(counts);
+    if lights.is_empty()
+        && args.integrator != Integrator::Ao
+        && !scene.materials.iter().any(|m| m.unlit)
+    {
+        return Err(CliError::input(
+            "no light",
+            args.scene.display(),
+            "add --environment FILE or --sun AZ,EL (such as --sun 45,45), or use --integrator ao",
+        ));
+    }
+    let world = World {
+        geometry: &geometry,
+        lights: &lights,
+    };
+    match args.visibility {
+        Strategy::Exact => work(&args, context, &world, &view, sky.as_ref(), &Exact),
+        Strategy::Occluder => work(
+            &args,
+            context,
+            &world,
+            &view,
+            sky.as_ref(),
+            &Occluder::default(),
+        ),
+    }
+}
+
+/// Renders, and writes what became of it.
+fn work<'a, V: Visibility<Geometry<'a>>>(
+    args: &RenderArgs,
+    context: &mut Context,
+    world: &World<'a>,
+    view: &View,
+    sky: Option<&Picture>,
+    visibility: &V,
+) -> Result<(), CliError> {
+    let settings = settings(args, context.common.seed);
+    let finish = finish(args, world.geometry.scene, context.common.seed);
+    let part = Work {
+        fingerprint: fingerprint(args, world.geometry, view, sky, &settings),
+        total: args.total_samples(),
+        samples: settings.samples.clone(),
+        notes: finish.notes(),
+    };
+    let checkpoint = args.checkpoint_path();
+    let mut film = match resume(args, &checkpoint, &part)? {
+        Some(film) => {
+            context.progress.note(&format!(
+                "going on from {}: {} samples a pixel",
+                checkpoint.display(),
+                film.min_samples()
+            ));
+            film
+        }
+        None => Film::new(args.size.width, args.size.height, args.records_features()),
+    };
+    context.progress.expect(args.time_limit);
+    signals::graceful();
+    let save = |film: &Film| output::write(&checkpoint, |mut out| part.write(film, &mut out));
+    let mut saved = Instant::now();
+    let report = context.phase("work", |context| {
+        let mut at_rest = |film: &Film| {
+            // A checkpoint that cannot be written now is tried again later, and reported at the end.
+            if saved.elapsed() >= CHECKPOINT_PERIOD {
+                let _ = save(film);
+                saved = Instant::now();
+            }
+        };
+        render(
+            world,
+            view,
+            visibility,
+            &settings,
+            &mut film,
+            &context.job,
+            &mut at_rest,
+        )
+    });
+    context.progress.finish();
+    let done = film.min_samples();
+    context.stats.work = Some(stats::Work {
+        samples_per_pixel: done,
+        stopped_by: report.stopped_by.name(),
+        rays: stats::Rays {
+            primary: report.rays.primary,
+            secondary: report.rays.secondary,
+            shadow: report.visibility.traced,
+            fill: report.visibility.fill,
+        },
+        visibility: stats::Visibility {
+            strategy: visibility.name().to_owned(),
+            class: visibility.class().name(),
+            queries: report.visibility.queries,
+            answered: report.visibility.answered,
+            traced: report.visibility.traced,
+            refined: report.visibility.refined,
+            bytes: visibility.bytes(),
+        },
+    });
+    if film.dropped() > 0 {
+        context.warn(format_args!(
+            "{} samples were not finite and count as black: please report the scene",
+            film.dropped()
+        ));
+    }
+    let cancelled = report.stopped_by == StoppedBy::Cancel;
+    context.phase("write", |_| match (cancelled, args.shard) {
+        (true, Some(_)) => save(&film),
+        (true, None) => save(&film).and(finish.write(&film, &args.output)),
+        (false, Some(_)) => output::write(&args.output[0], |mut out| part.write(&film, &mut out)),
+        (false, None) => finish.write(&film, &args.output),
+    })?;
+    if cancelled {
+        let what = format!(
+            "{done} of {} samples a pixel are done: {}",
+            settings.samples.len(),
+            checkpoint.display()
+        );
+        return Err(CliError::Cancelled(format!(
+            "{what}: go on with the same command and --resume"
+        )));
+    }
+    // Finished: what the checkpoint holds is in the outputs now.
+    let _ = std::fs::remove_file(&checkpoint);
+    let names: Vec<String> = args
+        .output
+        .iter()
+        .map(|path| path.display().to_string())
+        .collect();
+    context.progress.note(&format!(
+        "{}: {done} samples a pixel in {:.1} s",
+        names.join(", "),
+        context.stats.seconds.work
+    ));
+    Ok(())
+}
+
+fn settings(args: &RenderArgs, seed: u64) -> RenderSettings {
+    let total = args.total_samples();
+    RenderSettings {
+        integrator: match args.integrator {
+            Integrator::Path => integrator::Integrator::Path {
+                max_depth: args.max_depth,
+            },
+            Integrator::Direct => integrator::Integrator::Path {
+                max_depth: args.max_depth.min(1),
+            },
+            Integrator::Ao => integrator::Integrator::AmbientOcclusion {
+                distance: args.ao_distance.unwrap_or(f32::INFINITY),
+            },
+        },
+        sampler: match args.sampler {
+            Sampler::Sobol => SamplerKind::Sobol,
+            Sampler::Independent => SamplerKind::Independent,
+        },
+        filter: match args.filter {
+            Filter::Box => PixelFilter::Box,
+            Filter::Tent => PixelFilter::Tent,
+            Filter::Gaussian => PixelFilter::Gaussian,
+        },
+        seed,
+        samples: args.shard.map_or(0..total, |shard| {
+            shard_samples(total, shard.index, shard.count)
+        }),
+        time_limit: args.time_limit,
+        noise: args.noise.map(f64::from),
+    }
+}
+
+fn finish(args: &RenderArgs, scene: &Scene, seed: u64) -> Finish {
+    let name = |value: &dyn std::fmt::Debug| format!("{value:?}").to_lowercase();
+    Finish {
+        aov: args.aov.clone(),
+        depth: if args.half { Depth::Half } else { Depth::Float },
+        look: Look {
+            tone_map: args.tonemap,
+            exposure_ev: args.exposure,
+        },
+        about: vec![
+            ("scene".to_owned(), scene.name.clone()),
+            ("seed".to_owned(), seed.to_string()),
+            ("integrator".to_owned(), name(&args.integrator)),
+            ("maxDepth".to_owned(), args.max_depth.to_string()),
+        ],
+    }
+}
+
+/// A number for everything that the picture depends on, the number of samples apart.
+fn fingerprint(
+    args: &RenderArgs,
+    geometry: &Geometry,
+    view: &View,
+    sky: Option<&Picture>,
+    settings: &RenderSettings,
+) -> u64 {
+    let text = format!(
+        "{:?}",
+        (
+            VERSION,
+            view,
+            settings.integrator,
+            settings.sampler,
+            settings.filter,
+            settings.seed,
+            args.lights,
+            args.records_features(),
+            args.environment_rotation,
+            args.environment_scale
+        )
+    );
+    let mut hash = occlude_scene::fingerprint(geometry.scene, geometry.pose);
+    // FNV-1a: tells works apart, not forgers.
+    let mut byte = |byte: u8| hash = (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
+    text.bytes().for_each(&mut byte);
+    if let Some(sky) = sky {
+        sky.pixels
+            .iter()
+            .flatten()
+            .flat_map(|value| value.to_le_bytes())
+            .for_each(&mut byte);
+    }
+    hash
+}
+
+/// The film of the checkpoint, if `--resume` was given and there is one.
+fn resume(args: &RenderArgs, checkpoint: &Path, part: &Work) -> Result<Option<Film>, CliError> {
+    if !args.resume || !checkpoint.exists() {
+        return Ok(None);
+    }
+    let (film, work) = merge::read(checkpoint)?;
+    let same_film = (film.width(), film.height(), film.has_features())
+        == (args.size.width, args.size.height, args.records_features());
+    if !same_film || work.fingerprint != part.fingerprint || work.samples != part.samples {
+        return Err(CliError::input(
+            "the checkpoint belongs to another work (scene, view, size, seed, settings or program version differ)",
+            checkpoint.display(),
+            "repeat its command line, or leave out --resume to start anew",
+        ));
+    }
+    Ok(Some(film))
+}

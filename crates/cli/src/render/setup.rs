@@ -1,0 +1,174 @@
+//! From options and files to a world and a view.
+
+use super::args::{Lights, RenderArgs};
+use crate::context::Context;
+use crate::error::CliError;
+use crate::inspect::{bounds, counts};
+use crate::values::{Size, Sun};
+use glam::{Affine3A, Quat, Vec3};
+use occlude_bvh::BuildOptions;
+use occlude_image::{Encoding, Limits, Picture};
+use occlude_render::camera::View;
+use occlude_render::geometry::Geometry;
+use occlude_render::light::{self, Environment, LightSelection};
+use occlude_scene::{Light, LightKind, Node, Pose, Scene};
+use std::path::Path;
+
+/// How wide the sun is, seen from the earth.
+const SUN_DIAMETER_DEGREES: f32 = 0.53;
+
+pub fn load(
+    args: &RenderArgs,
+    context: &mut Context,
+) -> Result<(Scene, Option<Picture>), CliError> {
+    let sky = match &args.environment {
+        Some(path) => Some(load_sky(path, context)?),
+        None => None,
+    };
+    let mut scene = Scene::load(
+        &args.scene,
+        args.gltf_scene.as_deref(),
+        context.common.memory,
+    )?;
+    context.stats.scene = Some(scene.name.clone());
+    context.warn_all(&scene.warnings);
+    if counts(&scene).triangles == 0 {
+        return Err(CliError::input(
+            "nothing to render",
+            args.scene.display(),
+            "the scene holds no triangles: choose another with --gltf-scene or export its meshes",
+        ));
+    }
+    if let Some(sun) = &args.sun {
+        add_sun(&mut scene, sun);
+    }
+    Ok((scene, sky))
+}
+
+fn load_sky(path: &Path, context: &Context) -> Result<Picture, CliError> {
+    let limits = context
+        .common
+        .memory
+        .map_or_else(Limits::default, |max_bytes| Limits { max_bytes });
+    let opened = occlude_image::read(path, &limits)?;
+    if opened.repaired > 0 {
+        context.warn(format_args!(
+            "{} pixels were not finite and count as black: {}",
+            opened.repaired,
+            path.display()
+        ));
+    }
+    if opened.encoding == Encoding::Display {
+        context.warn(format_args!(
+            "a PNG holds display colours, bright lights are lost: {}: better use .hdr or .exr",
+            path.display()
+        ));
+    }
+    Ok(opened.picture)
+}
+
+/// Adds a directional light and the node that turns it.
+fn add_sun(scene: &mut Scene, sun: &Sun) {
+    let node = scene.nodes.len() as u32;
+    // Lights shine along -Z of their node, so its +Z points to the sun.
+    let rotation = Quat::from_rotation_arc(Vec3::Z, sun.towards());
+    scene.nodes.push(Node {
+        name: "sun".to_owned(),
+        parent: None,
+        parent_from_node: Affine3A::from_quat(rotation),
+    });
+    scene.lights.push(Light {
+        name: "sun".to_owned(),
+        node,
+        intensity: Vec3::splat(sun.irradiance),
+        kind: LightKind::Directional {
+            angular_diameter: SUN_DIAMETER_DEGREES.to_radians(),
+        },
+    });
+}
+
+pub fn build<'a>(
+    args: &RenderArgs,
+    scene: &'a Scene,
+    pose: &'a Pose,
+    sky: Option<&Picture>,
+) -> Result<(Geometry<'a>, light::Lights), CliError> {
+    let geometry = Geometry::new(scene, pose, &BuildOptions::default())
+        .map_err(|error| CliError::input("cannot trace the scene", args.scene.display(), error))?;
+    let rotation = args.environment_rotation.to_radians();
+    let environment =
+        sky.map(|sky| Environment::from_picture(sky, rotation, args.environment_scale));
+    let selection = match args.lights {
+        Lights::Uniform => LightSelection::Uniform,
+        Lights::Power => LightSelection::Power,
+        Lights::Tree => LightSelection::Tree,
+    };
+    Ok((
+        geometry,
+        light::Lights::new(scene, pose, environment, selection),
+    ))
+}
+
+/// The camera: asked for, the file's first, or one that frames everything.
+pub fn view(args: &RenderArgs, scene: &Scene, pose: &Pose) -> Result<View, CliError> {
+    let Size { width, height } = args.size;
+    if let Some(look) = &args.camera_look {
+        return View::look_at(look.eye, look.target, args.fov.to_radians(), width, height)
+            .ok_or_else(|| {
+                CliError::input(
+                    "no such view",
+                    "--camera-look",
+                    "eye and target must be apart and not too far from the origin",
+                )
+            });
+    }
+    let index = match &args.camera {
+        Some(wanted) => Some(find_camera(wanted, scene, &args.scene)?),
+        None => (!scene.cameras.is_empty()).then_some(0),
+    };
+    match (index, bounds(scene, pose)) {
+        (Some(index), _) => Ok(View::of_camera(scene, pose, index, width, height)),
+        (None, Some((min, max))) => Ok(View::framing(min, max, width, height)),
+        (None, None) => Err(CliError::input(
+            "nothing to look at",
+            args.scene.display(),
+            "the scene is empty",
+        )),
+    }
+}
+
+fn find_camera(wanted: &str, scene: &Scene, path: &Path) -> Result<usize, CliError> {
+    let named = |camera: &occlude_scene::Camera| {
+        let node = scene
+            .nodes
+            .get(camera.node as usize)
+            .map(|node| node.name.as_str());
+        camera.name == wanted || node == Some(wanted)
+    };
+    let by_index = || {
+        wanted
+            .parse()
+            .ok()
+            .filter(|&index: &usize| index < scene.cameras.len())
+    };
+    scene
+        .cameras
+        .iter()
+        .position(named)
+        .or_else(by_index)
+        .ok_or_else(|| {
+            let names: Vec<String> = scene
+                .cameras
+                .iter()
+                .take(8)
+                .enumerate()
+                .map(|(i, c)| format!("{i} {:?}", c.name))
+                .collect();
+            let cure = if names.is_empty() {
+                "the file has none: use --camera-look".to_owned()
+            } else {
+                format!("the file has {}", names.join(", "))
+            };
+            CliError::input(format_args!("no camera {wanted:?}"), path.display(), cure)
+        })
+}
