@@ -1,6 +1,6 @@
 //! What can be wrong with a file.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Why a scene could not be loaded. The text is one line: what, where, what to do.
 #[derive(Debug, thiserror::Error)]
@@ -55,4 +55,40 @@ pub struct Warning {
     pub place: String,
     /// What was found and what was done about it, one line.
     pub what: String,
+}
+
+impl SceneError {
+    /// An [`SceneError::Invalid`] whose text stays on one line of bearable length whatever the file says.
+    pub(crate) fn invalid(path: &Path, place: &str, what: &str, cure: &str) -> Self {
+        Self::Invalid {
+            path: path.to_path_buf(),
+            place: one_line(place),
+            what: one_line(what),
+            cure: cure.to_string(),
+        }
+    }
+}
+
+impl Warning {
+    /// A warning whose text stays on one line of bearable length whatever the file says.
+    pub(crate) fn new(place: &str, what: &str) -> Self {
+        Self {
+            place: one_line(place),
+            what: one_line(what),
+        }
+    }
+}
+
+/// Text from a file, fit for a message: no control characters, at most 120 characters.
+pub(crate) fn one_line(text: &str) -> String {
+    const LONGEST: usize = 120;
+    let mut out: String = text
+        .chars()
+        .take(LONGEST)
+        .map(|c| if c.is_control() { ' ' } else { c })
+        .collect();
+    if text.chars().nth(LONGEST).is_some() {
+        out.push_str("...");
+    }
+    out
 }

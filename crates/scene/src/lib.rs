@@ -7,20 +7,20 @@
 
 mod camera;
 mod error;
-// Both loaders use it; until they land only the tests do.
+mod facts;
 mod fingerprint;
-#[allow(dead_code)]
+mod gltf;
 mod image_file;
 mod light;
 mod material;
 mod mesh;
-// The loaders call it when they land.
-#[allow(dead_code)]
+mod motion;
 mod obj;
 mod pose;
 pub mod procedural;
 mod scene;
 mod texture;
+mod validate;
 mod write;
 
 pub use camera::{Camera, Projection};
@@ -29,6 +29,7 @@ pub use fingerprint::fingerprint;
 pub use light::{Light, LightKind};
 pub use material::{AlphaMode, Material, NormalMap, TextureRef, Volume};
 pub use mesh::{Mesh, MorphTarget, Skinning};
+pub use motion::{Channel, Clip, Interpolation, Motion, RestTransform, RestWeights, Target};
 pub use pose::{Deformed, Pose, PosedInstance, PosedLight};
 pub use scene::{Contents, Instance, Node, Scene, Skin};
 pub use texture::{Filter, Image, Sampler, Texels, Texture, Wrap};

@@ -1,6 +1,8 @@
 //! The immutable scene.
 
-use crate::{Camera, Image, Light, Material, Mesh, SceneError, Texture, Warning};
+use crate::{
+    Camera, Image, Light, Material, Mesh, Motion, SceneError, Texture, Warning, gltf, obj,
+};
 use glam::{Affine3A, Mat4};
 use std::path::{Path, PathBuf};
 
@@ -62,6 +64,8 @@ pub struct Scene {
     pub lights: Vec<Light>,
     /// Cameras, in file order.
     pub cameras: Vec<Camera>,
+    /// What moves by itself.
+    pub motion: Motion,
     /// Constant environment radiance of the file (`extras.sky`), black by default.
     pub sky: glam::Vec3,
     /// What the file holds beyond what is drawn, for reports.
@@ -83,6 +87,8 @@ pub struct Contents {
     pub scene: usize,
     /// Names and lengths of animations, seconds.
     pub animations: Vec<(String, f32)>,
+    /// For each of [`Scene::nodes`] its index in the file.
+    pub file_nodes: Vec<u32>,
     /// Program that wrote the file.
     pub generator: String,
 }
@@ -96,7 +102,31 @@ impl Scene {
         gltf_scene: Option<&str>,
         memory_limit: Option<u64>,
     ) -> Result<Self, SceneError> {
-        let _ = (path, gltf_scene, memory_limit);
-        todo!("loader helper implements this")
+        let extension = path
+            .extension()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .to_lowercase();
+        match extension.as_str() {
+            "gltf" | "glb" => gltf::load(path, gltf_scene, memory_limit),
+            "obj" => obj::load(path, memory_limit)?.validate(),
+            _ => {
+                // A missing file is the better complaint than an unknown kind of file.
+                std::fs::metadata(path).map_err(|source| SceneError::Read {
+                    path: path.to_path_buf(),
+                    source,
+                })?;
+                let what = match extension.as_str() {
+                    "" => "a scene without a file name extension".to_string(),
+                    other => format!("scene files of type .{other} are not supported"),
+                };
+                Err(SceneError::invalid(
+                    path,
+                    "",
+                    &what,
+                    "convert it to .glb, .gltf or .obj",
+                ))
+            }
+        }
     }
 }
