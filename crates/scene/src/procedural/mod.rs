@@ -7,10 +7,12 @@
 mod apartment;
 mod boxes;
 mod builder;
+mod city;
 mod conference;
 mod courtyard;
 mod furniture;
 mod hairball;
+mod many_lights;
 mod math;
 mod shape;
 
@@ -35,6 +37,10 @@ pub enum Name {
     Hairball,
     /// Buildings around a yard of instanced foliage.
     Courtyard,
+    /// Kilometres of town, wildly uneven in detail.
+    City,
+    /// A hall with ten thousand lights.
+    ManyLights,
 }
 
 impl Name {
@@ -46,6 +52,8 @@ impl Name {
         Self::Conference,
         Self::Hairball,
         Self::Courtyard,
+        Self::City,
+        Self::ManyLights,
     ];
 
     /// As on the command line.
@@ -57,6 +65,8 @@ impl Name {
             Self::Conference => "conference",
             Self::Hairball => "hairball",
             Self::Courtyard => "courtyard",
+            Self::City => "city",
+            Self::ManyLights => "many-lights",
         }
     }
 
@@ -69,6 +79,8 @@ impl Name {
             Self::Conference => "a meeting room under emissive panels",
             Self::Hairball => "a ball of thin curved strands",
             Self::Courtyard => "a yard of instanced foliage: ten million triangles seen flat",
+            Self::City => "4.9 km of town, from blocks to millimetres",
+            Self::ManyLights => "a store house with 10,000 lights",
         }
     }
 
@@ -80,6 +92,8 @@ impl Name {
             Self::Conference => conference::conference(detail, seed),
             Self::Hairball => hairball::hairball(detail, seed),
             Self::Courtyard => courtyard::courtyard(detail, seed),
+            Self::City => city::city(detail, seed),
+            Self::ManyLights => many_lights::many_lights(detail, seed),
         }
     }
 }
@@ -110,9 +124,13 @@ pub fn build(name: Name, triangles: Option<u64>, seed: u64) -> Scene {
     let mut built = name.make(1.0, seed);
     if let Some(wanted) = triangles {
         let mut detail = 1.0;
-        // Counts are nearly proportional to detail; a second step corrects what rounding spoils.
-        for _ in 0..2 {
-            detail *= wanted.max(1) as f32 / built.triangles().max(1) as f32;
+        // Counts are nearly proportional to detail; a few steps correct what rounding and fixed parts spoil.
+        for _ in 0..6 {
+            let ratio = wanted.max(1) as f32 / built.triangles().max(1) as f32;
+            if (0.95..1.05).contains(&ratio) {
+                break;
+            }
+            detail *= ratio;
             built = name.make(detail, seed);
         }
     }
