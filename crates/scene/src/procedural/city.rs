@@ -292,7 +292,7 @@ fn perimeter(t: &mut Town, rng: &mut Rng, x: f32, z: f32, half: f32, far: f32, f
             let floors = (height / 3.2) as u32;
             for floor in 0..floors {
                 let y = 1.0 + 3.2 * floor as f32;
-                let windows = ((u1 - u0) / 2.6 * fine).max(1.0) as u32;
+                let windows = ((u1 - u0) / 2.6 * fine) as u32;
                 let bay = (u1 - u0) / windows as f32;
                 for k in 0..windows {
                     let u = u0 + bay * (k as f32 + 0.5);
