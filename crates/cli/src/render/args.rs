@@ -23,7 +23,6 @@ const MAX_SAMPLES: u32 = 1 << 24;
   occlude render room.glb -o room.exr -o room.png --samples 256 --size 1920x1080
   occlude render statue.obj --environment sky.hdr --time-limit 30s -o statue.png
   occlude render big.glb -o part1.exr --shard 1/4    (then: occlude merge part*.exr -o big.exr)")]
-
 pub struct RenderArgs {
     /// Scene: .glb, .gltf or .obj
     pub scene: PathBuf,
