@@ -230,7 +230,7 @@ pub fn write_layers(path: &Path, layers: &Layers, look: Look) -> Result<(), Imag
     }
 }
 
-const SOFTWARE: &str = concat!("occlude ", env!("CARGO_PKG_VERSION"));
+pub(crate) const SOFTWARE: &str = concat!("occlude ", env!("CARGO_PKG_VERSION"));
 
 fn metadata_as_text(layers: &Layers) -> Vec<(String, String)> {
     let mut text: Vec<_> = layers

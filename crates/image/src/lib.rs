@@ -17,9 +17,11 @@ mod exr_read;
 mod exr_write;
 mod hdr;
 mod layers;
+mod magma;
 pub mod metrics;
 mod picture;
 mod png;
+mod report;
 mod tone;
 
 pub use atomic::{check_place, check_writable, write_atomically};
@@ -29,6 +31,7 @@ pub use codec::{
 pub use error::ImageError;
 pub use layers::{Attribute, Channel, Depth, Layers};
 pub use picture::Picture;
+pub use report::{Named, write_map, write_report};
 pub use tone::{ToneMap, srgb_decode, srgb_encode};
 
 #[cfg(test)]
