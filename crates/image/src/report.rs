@@ -1,6 +1,6 @@
 //! Comparisons for people: a map of where two pictures differ, and a page that needs no other file.
 
-use std::io::{self, Write};
+use std::io;
 use std::path::Path;
 
 use base64::Engine as _;
@@ -8,7 +8,10 @@ use rayon::prelude::*;
 
 use crate::magma::magma;
 use crate::metrics::{Compared, middle_grey_exposure};
-use crate::{Depth, Encoding, Format, ImageError, Layers, Look, Picture, ToneMap, png, write_atomically, write_layers};
+use crate::{
+    Depth, Encoding, Format, ImageError, Layers, Look, Picture, ToneMap, png, write_atomically,
+    write_layers,
+};
 
 /// Writes where `a` differs from the reference `b`.
 ///
@@ -17,17 +20,27 @@ use crate::{Depth, Encoding, Format, ImageError, Layers, Look, Picture, ToneMap,
 ///
 /// # Errors
 /// [`ImageError::Destination`] for other extensions, [`ImageError::SizeMismatch`], [`ImageError::Write`].
-pub fn write_map(path: &Path, a: &Picture, b: &Picture, compared: &Compared) -> Result<(), ImageError> {
+pub fn write_map(
+    path: &Path,
+    a: &Picture,
+    b: &Picture,
+    compared: &Compared,
+) -> Result<(), ImageError> {
     a.same_size(b)?;
     check_map_size(a, compared)?;
     match Format::from_extension(path) {
         Some(Format::Png) => {
             let text = [
                 ("Software".to_owned(), crate::codec::SOFTWARE.to_owned()),
-                ("Description".to_owned(), "FLIP error in magma colours: black 0, pale yellow 1".to_owned()),
+                (
+                    "Description".to_owned(),
+                    "FLIP error in magma colours: black 0, pale yellow 1".to_owned(),
+                ),
             ];
             let rgb = flip_colors(compared);
-            write_atomically(path, |out| png::write(a.width, a.height, rgb.as_flattened(), &text, out))
+            write_atomically(path, |out| {
+                png::write(a.width, a.height, rgb.as_flattened(), &text, out)
+            })
         }
         Some(Format::Exr) => {
             let mut difference = a.clone();
@@ -48,7 +61,9 @@ pub fn write_map(path: &Path, a: &Picture, b: &Picture, compared: &Compared) -> 
 
 fn check_map_size(picture: &Picture, compared: &Compared) -> Result<(), ImageError> {
     if compared.flip_map.len() != picture.pixels.len() {
-        return Err(ImageError::Inconsistent("the FLIP map is of other pictures".to_owned()));
+        return Err(ImageError::Inconsistent(
+            "the FLIP map is of other pictures".to_owned(),
+        ));
     }
     Ok(())
 }
@@ -73,47 +88,100 @@ pub struct Named<'a> {
 ///
 /// # Errors
 /// [`ImageError::SizeMismatch`], [`ImageError::Write`].
-pub fn write_report(path: &Path, a: Named, b: Named, encoding: Encoding, compared: &Compared) -> Result<(), ImageError> {
+pub fn write_report(
+    path: &Path,
+    a: Named,
+    b: Named,
+    encoding: Encoding,
+    compared: &Compared,
+) -> Result<(), ImageError> {
     a.picture.same_size(b.picture)?;
     check_map_size(a.picture, compared)?;
-    let page = page(a, b, encoding, compared).map_err(|source| ImageError::Write { path: path.to_owned(), source })?;
+    let page = page(a, b, encoding, compared).map_err(|source| ImageError::Write {
+        path: path.to_owned(),
+        source,
+    })?;
     write_atomically(path, |out| out.write_all(page.as_bytes()))
 }
 
 fn page(a: Named, b: Named, encoding: Encoding, compared: &Compared) -> io::Result<String> {
     let look = match encoding {
-        Encoding::Display => Look { tone_map: ToneMap::None, exposure_ev: 0.0 },
-        Encoding::SceneLinear => Look { tone_map: ToneMap::default(), exposure_ev: middle_grey_exposure(b.picture) },
+        Encoding::Display => Look {
+            tone_map: ToneMap::None,
+            exposure_ev: 0.0,
+        },
+        Encoding::SceneLinear => Look {
+            tone_map: ToneMap::default(),
+            exposure_ev: middle_grey_exposure(b.picture),
+        },
     };
     let shown = match encoding {
         Encoding::Display => "shown as they are".to_owned(),
-        Encoding::SceneLinear => format!("shown at {:+.2} EV with the tone map {}", look.exposure_ev, look.tone_map.title()),
+        Encoding::SceneLinear => format!(
+            "shown at {:+.2} EV with the tone map {}",
+            look.exposure_ev,
+            look.tone_map.title()
+        ),
     };
-    let seen = |p: &Picture| p.pixels.par_iter().map(|&c| look.tone_map.encode(c, look.exposure_ev)).collect::<Vec<_>>();
+    let seen = |p: &Picture| {
+        p.pixels
+            .par_iter()
+            .map(|&c| look.tone_map.encode(c, look.exposure_ev))
+            .collect::<Vec<_>>()
+    };
     let (times, difference) = amplified_difference(a.picture, b.picture, look.exposure_ev);
     let (width, height) = (a.picture.width, a.picture.height);
     let image = |rgb: Vec<[u8; 3]>| -> io::Result<String> {
         let mut bytes = Vec::new();
         png::write(width, height, rgb.as_flattened(), &[], &mut bytes)?;
-        Ok(format!("data:image/png;base64,{}", base64::engine::general_purpose::STANDARD.encode(bytes)))
+        Ok(format!(
+            "data:image/png;base64,{}",
+            base64::engine::general_purpose::STANDARD.encode(bytes)
+        ))
     };
     let (name_a, name_b) = (escaped(a.name), escaped(b.name));
     let n = &compared.numbers;
-    let flip_kind = if encoding == Encoding::Display { "LDR-FLIP" } else { "HDR-FLIP" };
+    let flip_kind = if encoding == Encoding::Display {
+        "LDR-FLIP"
+    } else {
+        "HDR-FLIP"
+    };
     let rows: String = [
-        (flip_kind, number(n.flip), "what a viewer sees when the two are alternated, 0 to 1"),
-        ("relMSE", number(n.relmse), "squared error relative to the reference, exposure-free"),
+        (
+            flip_kind,
+            number(n.flip),
+            "what a viewer sees when the two are alternated, 0 to 1",
+        ),
+        (
+            "relMSE",
+            number(n.relmse),
+            "squared error relative to the reference, exposure-free",
+        ),
         ("MSE", number(n.mse), "mean squared error, linear light"),
-        ("PSNR", format!("{} dB", number(n.psnr)), "peak signal to noise"),
+        (
+            "PSNR",
+            format!("{} dB", number(n.psnr)),
+            "peak signal to noise",
+        ),
         ("SSIM", number(n.ssim), "structural similarity, 1 for equal"),
-        ("energy change", number(n.energy_change), "sum of absolute differences over sum of reference"),
+        (
+            "energy change",
+            number(n.energy_change),
+            "sum of absolute differences over sum of reference",
+        ),
         ("mean of A", triple(n.mean_a), "red, green, blue"),
         ("mean of B", triple(n.mean_b), "red, green, blue"),
     ]
     .iter()
-    .map(|(name, value, meaning)| format!("<tr><th>{name}</th><td>{value}</td><td>{meaning}</td></tr>\n"))
+    .map(|(name, value, meaning)| {
+        format!("<tr><th>{name}</th><td>{value}</td><td>{meaning}</td></tr>\n")
+    })
     .collect();
-    let times = if times >= 1.0 { format!("{times}") } else { format!("1/{}", 1.0 / times) };
+    let times = if times >= 1.0 {
+        format!("{times}")
+    } else {
+        format!("1/{}", 1.0 / times)
+    };
     Ok(format!(
         r##"<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
@@ -145,8 +213,15 @@ input {{ width: 100%; }} .scale {{ height: .8rem; background: linear-gradient(to
 </div>
 </body></html>
 "##,
-        rendering = if width.max(height) < 700 { "pixelated" } else { "auto" },
-        gradient = (0..=16).map(|i| color_text(magma(i as f32 / 16.0))).collect::<Vec<_>>().join(", "),
+        rendering = if width.max(height) < 700 {
+            "pixelated"
+        } else {
+            "auto"
+        },
+        gradient = (0..=16)
+            .map(|i| color_text(magma(i as f32 / 16.0)))
+            .collect::<Vec<_>>()
+            .join(", "),
         seen_a = image(seen(a.picture))?,
         seen_b = image(seen(b.picture))?,
         difference = image(difference)?,
@@ -164,11 +239,28 @@ fn amplified_difference(a: &Picture, b: &Picture, exposure_ev: f32) -> (f32, Vec
         .zip(&b.pixels)
         .map(|(a, b)| std::array::from_fn(|c| ((a[c] - b[c]) * scale).abs()))
         .collect();
-    let mut largest: Vec<f32> = difference.iter().map(|d| d[0].max(d[1]).max(d[2])).collect();
+    let mut largest: Vec<f32> = difference
+        .iter()
+        .map(|d| d[0].max(d[1]).max(d[2]))
+        .collect();
     let rank = (largest.len().saturating_sub(1)) * 99 / 100;
-    let high = if largest.is_empty() { 0.0 } else { *largest.select_nth_unstable_by(rank, f32::total_cmp).1 };
-    let times = if high > 0.0 { (0.5 / high).log2().floor().clamp(-10.0, 10.0).exp2() } else { 1.0 };
-    (times, difference.par_iter().map(|d| ToneMap::None.encode(d.map(|v| v * times), 0.0)).collect())
+    let high = if largest.is_empty() {
+        0.0
+    } else {
+        *largest.select_nth_unstable_by(rank, f32::total_cmp).1
+    };
+    let times = if high > 0.0 {
+        (0.5 / high).log2().floor().clamp(-10.0, 10.0).exp2()
+    } else {
+        1.0
+    };
+    (
+        times,
+        difference
+            .par_iter()
+            .map(|d| ToneMap::None.encode(d.map(|v| v * times), 0.0))
+            .collect(),
+    )
 }
 
 fn color_text([r, g, b]: [u8; 3]) -> String {
@@ -183,7 +275,11 @@ fn number(value: f64) -> String {
     if value != 0.0 && !(1e-3..1e5).contains(&value.abs()) {
         return format!("{value:.3e}");
     }
-    let whole = if value == 0.0 { 1 } else { value.abs().log10().floor() as i32 + 1 };
+    let whole = if value == 0.0 {
+        1
+    } else {
+        value.abs().log10().floor() as i32 + 1
+    };
     format!("{value:.*}", (4 - whole).clamp(0, 6) as usize)
 }
 
@@ -220,7 +316,16 @@ mod tests {
         let (a, b) = (sample_picture(30, 20, 1), sample_picture(30, 20, 2));
         for encoding in [Encoding::SceneLinear, Encoding::Display] {
             let compared = compare(&a, &b, encoding).unwrap();
-            let (a, b) = (Named { name: "<a>&\"", picture: &a }, Named { name: "b.exr", picture: &b });
+            let (a, b) = (
+                Named {
+                    name: "<a>&\"",
+                    picture: &a,
+                },
+                Named {
+                    name: "b.exr",
+                    picture: &b,
+                },
+            );
             let page = page(a, b, encoding, &compared).unwrap();
             assert_eq!(page.matches("data:image/png;base64,").count(), 4);
             assert!(!page.contains("<a>") && page.contains("&lt;a&gt;&amp;&quot;"));
@@ -244,20 +349,43 @@ mod tests {
         write_map(&path, &a, &b, &compared).unwrap();
         let map = read(&path, &Limits::default()).unwrap().picture;
         let bright = |x, y| map.get(x, y).unwrap()[0];
-        assert!(bright(12, 12) > 0.3 && bright(35, 25) < 0.05, "{} {}", bright(12, 12), bright(35, 25));
+        assert!(
+            bright(12, 12) > 0.3 && bright(35, 25) < 0.05,
+            "{} {}",
+            bright(12, 12),
+            bright(35, 25)
+        );
         std::fs::remove_file(&path).unwrap();
         let path = path.with_extension("exr");
         write_map(&path, &a, &b, &compared).unwrap();
         let layers = read_layers(&path, &Limits::default()).unwrap();
         assert_eq!(layers.channel("flip.Y").unwrap().values, compared.flip_map);
-        assert_eq!(layers.picture("").unwrap().get(12, 12).unwrap()[1], 0.0 - b.get(12, 12).unwrap()[1]);
+        assert_eq!(
+            layers.picture("").unwrap().get(12, 12).unwrap()[1],
+            0.0 - b.get(12, 12).unwrap()[1]
+        );
         std::fs::remove_file(&path).unwrap();
         assert!(write_map(&path.with_extension("hdr"), &a, &b, &compared).is_err());
     }
 
     #[test]
     fn numbers_are_short() {
-        let all = [0.0, 1.0, 12.345678, 99999.4, 1e7, 0.00123456, 1e-9, f64::INFINITY].map(number);
-        assert_eq!(all, ["0.000", "1.000", "12.35", "99999", "1.000e7", "0.001235", "1.000e-9", "none"]);
+        let all = [
+            0.0,
+            1.0,
+            12.345678,
+            99999.4,
+            1e7,
+            0.00123456,
+            1e-9,
+            f64::INFINITY,
+        ]
+        .map(number);
+        assert_eq!(
+            all,
+            [
+                "0.000", "1.000", "12.35", "99999", "1.000e7", "0.001235", "1.000e-9", "none"
+            ]
+        );
     }
 }
