@@ -119,8 +119,13 @@ fn open(path: &Path, context: &Context) -> Result<Opened, CliError> {
     let opened = read(path, &limits)?;
     if opened.repaired > 0 {
         context.warn(format_args!(
-            "{} pixels are not finite and count as 0: {}",
+            "{} {} NaN or infinity, which counts as 0: {}",
             opened.repaired,
+            if opened.repaired == 1 {
+                "pixel holds"
+            } else {
+                "pixels hold"
+            },
             path.display()
         ));
     }

@@ -1,9 +1,9 @@
-//! Reading EXR: scan lines and tiles, half, float and uint, every compression of the `exr` crate (none, RLE, ZIP, PIZ,
-//! PXR24, B44, DWA).
+//! Reading EXR: scan lines and tiles, half, float and uint, uncompressed, RLE, ZIP, PIZ, PXR24 and
+//! B44.
 //!
 //! The `exr` crate decodes headers and single blocks; this module decides what is allocated. Sizes are checked
 //! against the limit and against what the file's length can hold before any block is read. Deep and subsampled
-//! channels are refused.
+//! channels are refused, and DWA: that decoder allocates what a block claims (an abort that nothing can contain).
 //!
 //! That crate's decoders contain assertions and unchecked indices that a damaged file could reach, so all calls into
 //! it run under `catch_unwind` ([`contained`]); nothing it owns outlives a panic.
@@ -144,6 +144,15 @@ fn check(header: &Header, file_bytes: usize, limits: &Limits) -> Result<(), Faul
             "export it as RGB",
         ));
     }
+    if matches!(
+        header.compression,
+        Compression::DWAA(_) | Compression::DWAB(_)
+    ) {
+        return Err(Fault::unsupported(
+            "the EXR file is compressed with DWA",
+            "save it with ZIP or PIZ compression",
+        ));
+    }
     let (width, height) = (
         header.layer_size.width() as u64,
         header.layer_size.height() as u64,
@@ -169,14 +178,10 @@ fn check(header: &Header, file_bytes: usize, limits: &Limits) -> Result<(), Faul
             limit: limits.max_bytes,
         });
     }
-    // Each block has 8 bytes in the offset table and 8 of its own; zlib, RLE and PIZ shrink less than 2048 times, DWA
-    // drops all but 4 of an 8x8 block's 128 bytes before zlib.
-    let ratio = match header.compression {
-        Compression::DWAA(_) | Compression::DWAB(_) => 1 << 16,
-        _ => 2048,
-    };
+    // Each block has 8 bytes in the offset table and 8 of its own; no compression shrinks 2048 times.
+    const RATIO: u64 = 2048;
     let file_bytes = file_bytes as u64;
-    if (header.chunk_count as u64).saturating_mul(16) > file_bytes || needed / ratio > file_bytes {
+    if (header.chunk_count as u64).saturating_mul(16) > file_bytes || needed / RATIO > file_bytes {
         return Err(Fault::damaged(format!(
             "the EXR file is too short for {width}x{height} pixels"
         )));
@@ -238,14 +243,18 @@ fn read_part(
         if batch.is_empty() {
             break;
         }
+        // Before decompressing: only this part was checked.
+        if batch.iter().any(|chunk| chunk.layer_index != part) {
+            return Err(astray());
+        }
         let blocks: Vec<UncompressedBlock> = batch
             .into_par_iter()
             .map(|chunk| UncompressedBlock::decompress_chunk(chunk, &meta, false))
             .collect::<Result<_, _>>()
             .map_err(fault)?;
         for block in blocks {
-            if block.index.layer != part || block.index.level != largest {
-                return Err(Fault::damaged("the EXR file's offset table leads astray"));
+            if block.index.level != largest {
+                return Err(astray());
             }
             let Vec2(x, y) = block.index.pixel_position;
             filled.push((y, x, block.index.pixel_size.area()));
@@ -259,6 +268,10 @@ fn read_part(
         return Err(Fault::damaged("blocks of the EXR file are missing"));
     }
     Ok(layers)
+}
+
+fn astray() -> Fault {
+    Fault::damaged("the EXR file's offset table leads astray")
 }
 
 /// Copies a block's lines to where they belong.
