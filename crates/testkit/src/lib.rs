@@ -5,11 +5,13 @@
 //! the evidence, do not try another seed.
 //!
 //! * [`distribution`]: quantiles and tail probabilities, the Šidák correction for many tests at once;
+//! * [`chi2`]: histograms against densities, over the sphere too;
 //! * [`estimate`]: means with their uncertainty, Student's and Welch's t-tests;
 //! * [`picture`]: the same for every pixel of a picture, and for blocks of pixels;
 //! * [`golden`]: pictures to look at when a test fails;
 //! * [`oracle`]: rays against triangles by brute force, in double precision.
 
+pub mod chi2;
 pub mod distribution;
 pub mod estimate;
 pub mod golden;

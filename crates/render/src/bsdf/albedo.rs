@@ -8,10 +8,12 @@
 //!
 //! The table is off by less than 0.002 (test `table_matches_quadrature`).
 
+use super::layers::{SHEEN_ROUGHNESS_MIN, charlie};
 use super::microfacet::{
     g1_over_2cos, g2_over_4cos_cos, reflect, sample_visible_normal, schlick_weight, smith_root,
 };
 use glam::{Vec2, Vec3};
+use std::f32::consts::PI;
 use std::sync::LazyLock;
 
 /// Nodes along each axis.
@@ -33,6 +35,13 @@ impl Split {
             a: self.a + (other.a - self.a) * t,
             b: self.b + (other.b - self.b) * t,
         }
+    }
+
+    /// A perfect mirror.
+    #[inline]
+    pub fn mirror(cos: f32) -> Self {
+        let b = schlick_weight(cos);
+        Self { a: 1.0 - b, b }
     }
 
     /// Share of light that a single bounce does not explain.
@@ -98,8 +107,7 @@ fn along(row: &[Split; NODES], t: f32) -> Split {
 /// The albedo by a midpoint rule of `points²` visible normals: the reference that the table is made from.
 pub(super) fn integrate(alpha: f32, mu: f32, points: u32) -> Split {
     if alpha == 0.0 {
-        let b = schlick_weight(mu);
-        return Split { a: 1.0 - b, b };
+        return Split::mirror(mu);
     }
     let wo = Vec3::new((1.0 - mu * mu).max(0.0).sqrt(), 0.0, mu);
     let root_o = smith_root(alpha, mu);
@@ -172,4 +180,58 @@ impl Row {
         let k = (self.index as usize).min(NODES - 2);
         TABLE.means[k].lerp(TABLE.means[k + 1], self.fraction)
     }
+}
+
+/// Nodes along each axis of the sheen's table.
+const SHEEN_NODES: usize = 24;
+
+/// Directional albedo of a white sheen, by roughness, then by the root of the cosine. Built when a sheen is first met.
+static SHEEN: LazyLock<Box<[[f32; SHEEN_NODES]; SHEEN_NODES]>> = LazyLock::new(|| {
+    let mut table = Box::new([[0.0; SHEEN_NODES]; SHEEN_NODES]);
+    for (r, row) in table.iter_mut().enumerate() {
+        let roughness = (r as f32 / (SHEEN_NODES - 1) as f32).max(SHEEN_ROUGHNESS_MIN);
+        for (m, node) in row.iter_mut().enumerate() {
+            let root = m as f32 / (SHEEN_NODES - 1) as f32;
+            *node = integrate_sheen(roughness, root * root, 24);
+        }
+    }
+    table
+});
+
+/// Directional albedo of a white sheen by a midpoint rule of `points²` directions.
+pub(super) fn integrate_sheen(roughness: f32, mu: f32, points: u32) -> f32 {
+    let wo = Vec3::new((1.0 - mu * mu).max(0.0).sqrt(), 0.0, mu);
+    let mut sum = 0.0_f64;
+    for i in 0..points {
+        for j in 0..points {
+            // Symmetric in azimuth: half of the circle is enough. Nodes crowd towards the horizon, where the lobe is.
+            let t = (i as f32 + 0.5) / points as f32;
+            let z = t * t;
+            let (sin, cos) = (PI * (j as f32 + 0.5) / points as f32).sin_cos();
+            let r = (1.0 - z * z).max(0.0).sqrt();
+            let wi = Vec3::new(r * cos, r * sin, z);
+            let value = charlie(roughness, wo, wi, (wo + wi).normalize_or_zero());
+            sum += f64::from(value * z * 2.0 * t);
+        }
+    }
+    (sum / f64::from(points * points)) as f32 * 2.0 * PI
+}
+
+/// Directional albedo of a white sheen.
+pub(super) fn sheen_albedo(roughness: f32, cos: f32) -> f32 {
+    let table = &**SHEEN;
+    let cell = |x: f32| {
+        let x = x * (SHEEN_NODES - 1) as f32;
+        let i = (x as usize).min(SHEEN_NODES - 2);
+        (i, x - i as f32)
+    };
+    let (i, s) = cell(cos.clamp(0.0, 1.0).sqrt());
+    let (k, t) = cell(roughness.clamp(0.0, 1.0));
+    let lerp = |a: f32, b: f32, t: f32| a + (b - a) * t;
+    lerp(
+        lerp(table[k][i], table[k][i + 1], s),
+        lerp(table[k + 1][i], table[k + 1][i + 1], s),
+        t,
+    )
+    .min(1.0)
 }

@@ -4,15 +4,14 @@
 //! `wo` points to where light goes (the eye), `wi` to where it comes from.
 
 mod albedo;
+mod layers;
 mod microfacet;
+mod scatter;
 mod setup;
 
 use albedo::Row;
 use glam::{Vec2, Vec3};
-use microfacet::{
-    fresnel_dielectric, g1_over_2cos, g2_over_4cos_cos, ggx_d, reflect, refract,
-    sample_visible_normal, schlick_weight, smith_root,
-};
+use layers::Layers;
 use std::f32::consts::FRAC_1_PI;
 
 use crate::sampling::warp;
@@ -110,10 +109,14 @@ pub struct Bsdf {
     diffuse: Vec3,
     /// Cosine lobe: light that bounced several times on the microsurface (Kulla & Conty), likewise.
     multiple: Vec3,
+    /// Cosine lobe on the far side of a thin wall: the same for transmitted light.
+    below: Vec3,
     /// `1 - E(wi)` of the dielectric layer is `through[0] + through[1] A + through[2] B`.
     through: [f32; 3],
     row: Row,
     alpha: f32,
+    /// `smith_root` of `wo`.
+    root_o: f32,
     /// Schlick reflectance of the GGX lobe at normal and at grazing incidence.
     f0: Vec3,
     f90: f32,
@@ -129,10 +132,10 @@ pub struct Bsdf {
     eta: f32,
     /// Light that passes straight through an index-matched boundary.
     pass: Vec3,
-    /// Probabilities of the lobes.
-    pick_cosine: f32,
-    pick_specular: f32,
-    pick_pass: f32,
+    layers: Option<Layers>,
+    /// How layers stand to the base: see [`Cover`].
+    cover: Cover,
+    pick: Pick,
     albedo: Vec3,
 }
 
@@ -141,14 +144,24 @@ pub fn is_smooth(roughness: f32) -> bool {
     roughness * roughness < microfacet::ALPHA_DELTA
 }
 
-/// Reflectance and transmittance of one microfacet.
-struct Facet {
-    reflect: Vec3,
-    transmit: Vec3,
-    /// Probability that the sampler reflects there.
-    pick_reflect: f32,
-    /// Cosine of the refracted direction.
-    cos_t: f32,
+/// On which side of a boundary the layers are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Cover {
+    /// On the side of `wo`: light that is reflected or transmitted goes through them.
+    Near,
+    /// On the far side, `wo` being inside of a body: only transmitted light goes through them.
+    Far,
+}
+
+/// Probabilities of the lobes; they sum to 1, or are all 0 where nothing is scattered.
+#[derive(Clone, Copy, Debug, Default)]
+struct Pick {
+    cosine: f32,
+    specular: f32,
+    below: f32,
+    pass: f32,
+    coat: f32,
+    sheen: f32,
 }
 
 impl Bsdf {
@@ -160,131 +173,17 @@ impl Bsdf {
             return (self.diffuse * cos, cos);
         }
         if wi.z > 0.0 {
-            self.eval_reflection(wo, wi)
+            self.eval_above(wo, wi)
+        } else if wi.z < 0.0 {
+            self.eval_below(wo, wi)
         } else {
-            self.eval_transmission(wo, wi)
-        }
-    }
-
-    fn eval_reflection(&self, wo: Vec3, wi: Vec3) -> (Vec3, f32) {
-        let mut value = Vec3::ZERO;
-        let mut pdf = 0.0;
-        if self.pick_cosine > 0.0 {
-            let cos = wi.z * FRAC_1_PI;
-            let e = self.row.at(wi.z);
-            let through = self.through[0] + self.through[1] * e.a + self.through[2] * e.b;
-            value += (self.diffuse * through + self.multiple * e.lost()) * cos;
-            pdf += self.pick_cosine * cos;
-        }
-        if self.pick_specular > 0.0 && !self.delta {
-            let h = (wo + wi).normalize_or_zero();
-            let cos_h = wo.dot(h);
-            let facet = self.facet(cos_h);
-            let d = ggx_d(self.alpha, h);
-            let root_o = smith_root(self.alpha, wo.z);
-            let root_i = smith_root(self.alpha, wi.z);
-            value += facet.reflect * (d * g2_over_4cos_cos(wo.z, root_o, wi.z, root_i) * wi.z);
-            pdf += self.pick_specular * facet.pick_reflect * d * 0.5 * g1_over_2cos(wo.z, root_o);
-        }
-        (value, pdf)
-    }
-
-    fn eval_transmission(&self, wo: Vec3, wi: Vec3) -> (Vec3, f32) {
-        let none = (Vec3::ZERO, 0.0);
-        if self.delta || self.pick_specular <= 0.0 {
-            return none;
-        }
-        match self.wall {
-            Wall::Opaque => none,
-            Wall::Thin => {
-                let mirrored = Vec3::new(wi.x, wi.y, -wi.z);
-                if mirrored.z <= 0.0 {
-                    return none;
-                }
-                let h = (wo + mirrored).normalize_or_zero();
-                let facet = self.facet(wo.dot(h));
-                let d = ggx_d(self.alpha, h);
-                let root_o = smith_root(self.alpha, wo.z);
-                let root_i = smith_root(self.alpha, mirrored.z);
-                let value = d * g2_over_4cos_cos(wo.z, root_o, mirrored.z, root_i) * mirrored.z;
-                let pdf = self.pick_specular
-                    * (1.0 - facet.pick_reflect)
-                    * d
-                    * 0.5
-                    * g1_over_2cos(wo.z, root_o);
-                (facet.transmit * value, pdf)
-            }
-            Wall::Thick => {
-                // Walter 2007, eq. 16 and 21 with `wo` on the near side.
-                let h = (wo + self.eta * wi).normalize_or_zero();
-                let h = if h.z < 0.0 { -h } else { h };
-                let (cos_o, cos_i) = (wo.dot(h), wi.dot(h));
-                if cos_o <= 0.0 || cos_i >= 0.0 {
-                    return none;
-                }
-                let facet = self.facet(cos_o);
-                let denominator = cos_o + self.eta * cos_i;
-                let jacobian = -cos_i / (denominator * denominator);
-                if !jacobian.is_finite() {
-                    return none;
-                }
-                // Visible normals: G1(wo) D (wo·h) / wo.z.
-                let visible = 2.0
-                    * g1_over_2cos(wo.z, smith_root(self.alpha, wo.z))
-                    * ggx_d(self.alpha, h)
-                    * cos_o;
-                let g1_i = 2.0 * -wi.z * g1_over_2cos(-wi.z, smith_root(self.alpha, wi.z));
-                let pdf = self.pick_specular
-                    * (1.0 - facet.pick_reflect)
-                    * visible
-                    * jacobian
-                    * self.eta
-                    * self.eta;
-                (facet.transmit * (visible * jacobian * g1_i), pdf)
-            }
-        }
-    }
-
-    /// Fresnel's split at a microfacet that `wo` meets at cosine `cos`.
-    #[inline]
-    fn facet(&self, cos: f32) -> Facet {
-        let weight = schlick_weight(cos);
-        let schlick = self.f0 + (Vec3::splat(self.f90) - self.f0) * weight;
-        let (reflect, share, cos_t) = match self.wall {
-            Wall::Opaque => {
-                return Facet {
-                    reflect: schlick,
-                    transmit: Vec3::ZERO,
-                    pick_reflect: 1.0,
-                    cos_t: 0.0,
-                };
-            }
-            Wall::Thin => (
-                schlick,
-                1.0 - (self.sheet[0] + (self.sheet[1] - self.sheet[0]) * weight),
-                0.0,
-            ),
-            Wall::Thick => match fresnel_dielectric(cos, self.eta) {
-                // Total reflection is complete, whatever the reflection's colour.
-                (_, 0.0) => (schlick + self.glass[1], 0.0, 0.0),
-                (f, cos_t) => (
-                    schlick + self.glass[0] * f,
-                    1.0 - f * self.glass_scale,
-                    cos_t,
-                ),
-            },
-        };
-        let transmit = self.tint * share.max(0.0);
-        let (r, t) = (reflect.max_element(), transmit.max_element());
-        Facet {
-            reflect,
-            transmit,
-            pick_reflect: if t > 0.0 { r / (r + t) } else { 1.0 },
-            cos_t,
+            (Vec3::ZERO, 0.0)
         }
     }
 
     /// Samples a direction. `None`: the path ends.
+    ///
+    /// `lobe` and `u` are independent numbers in `[0, 1)`; `u` deserves the better stratified pair.
     #[inline]
     pub fn sample(&self, wo: Vec3, lobe: f32, u: Vec2) -> Option<BsdfSample> {
         if self.lambert {
@@ -302,132 +201,27 @@ impl Bsdf {
         self.sample_lobes(wo, lobe, u)
     }
 
-    fn sample_lobes(&self, wo: Vec3, lobe: f32, u: Vec2) -> Option<BsdfSample> {
-        let total = self.pick_cosine + self.pick_specular + self.pick_pass;
-        if total <= 0.0 {
-            return None;
-        }
-        let wi = if lobe < self.pick_cosine {
-            warp::cosine_hemisphere(u)
-        } else if self.pick_pass > 0.0 && lobe >= self.pick_cosine + self.pick_specular {
-            let weight = self.pass / self.pick_pass;
-            return Some(BsdfSample {
-                wi: -wo,
-                weight,
-                pdf: self.pick_pass,
-                delta: true,
-                passed: true,
-                eta2: 1.0,
-            });
-        } else if self.pick_specular <= 0.0 {
-            return None;
-        } else {
-            let rest = ((lobe - self.pick_cosine) / self.pick_specular).clamp(0.0, 1.0);
-            let h = if self.delta {
-                Vec3::Z
-            } else {
-                sample_visible_normal(self.alpha, wo, u)
-            };
-            let cos = wo.dot(h);
-            let facet = self.facet(cos);
-            let reflected = rest < facet.pick_reflect;
-            if self.delta {
-                return self.delta_sample(wo, &facet, reflected);
-            }
-            if reflected {
-                let wi = reflect(wo, h);
-                if wi.z <= 0.0 {
-                    return None;
-                }
-                wi
-            } else {
-                let wi = match self.wall {
-                    Wall::Thick => refract(wo, h, cos, facet.cos_t, self.eta).normalize_or_zero(),
-                    _ => {
-                        let wi = reflect(wo, h);
-                        Vec3::new(wi.x, wi.y, -wi.z)
-                    }
-                };
-                if wi.z >= 0.0 {
-                    return None;
-                }
-                wi
-            }
-        };
-        let (value, pdf) = self.eval(wo, wi);
-        let refracted = wi.z < 0.0 && self.wall == Wall::Thick;
-        (pdf > 0.0 && pdf.is_finite()).then(|| BsdfSample {
-            wi,
-            weight: value / pdf,
-            pdf,
-            delta: false,
-            passed: false,
-            eta2: if refracted { self.eta * self.eta } else { 1.0 },
-        })
-    }
-
-    fn delta_sample(&self, wo: Vec3, facet: &Facet, reflected: bool) -> Option<BsdfSample> {
-        let base = BsdfSample {
-            wi: wo,
-            weight: Vec3::ZERO,
-            pdf: 0.0,
-            delta: true,
-            passed: false,
-            eta2: 1.0,
-        };
-        if reflected {
-            let pdf = self.pick_specular * facet.pick_reflect;
-            let wi = Vec3::new(-wo.x, -wo.y, wo.z);
-            return (pdf > 0.0).then(|| BsdfSample {
-                wi,
-                weight: facet.reflect / pdf,
-                pdf,
-                ..base
-            });
-        }
-        let pdf = self.pick_specular * (1.0 - facet.pick_reflect);
-        if pdf <= 0.0 {
-            return None;
-        }
-        let weight = facet.transmit / pdf;
-        Some(match self.wall {
-            Wall::Thick => {
-                let eta2 = self.eta * self.eta;
-                let wi = refract(wo, Vec3::Z, wo.z, facet.cos_t, self.eta);
-                BsdfSample {
-                    wi,
-                    weight: weight / eta2,
-                    pdf,
-                    eta2,
-                    ..base
-                }
-            }
-            _ => BsdfSample {
-                wi: -wo,
-                weight,
-                pdf,
-                passed: true,
-                ..base
-            },
-        })
-    }
-
     /// Light that goes straight through towards `wo` without a change of direction, by colour: the mean of `weight` over the samples
     /// that [passed](BsdfSample::passed), all others counted as black.
     pub fn straight_transmittance(&self, wo: Vec3) -> Vec3 {
-        let window = self.wall == Wall::Thin && self.delta && self.pick_specular > 0.0;
-        self.pass
-            + if window {
-                self.facet(wo.z).transmit
-            } else {
-                Vec3::ZERO
-            }
+        let window = self.wall == Wall::Thin && self.delta && self.pick.specular > 0.0;
+        let facet = if window {
+            self.facet(wo.z).transmit
+        } else {
+            Vec3::ZERO
+        };
+        (self.pass + facet) * self.dim_transmission(wo, -wo)
     }
 
     /// Whether every lobe is delta (then light sampling is pointless).
     #[inline]
     pub fn is_delta(&self) -> bool {
-        !self.lambert && self.pick_cosine <= 0.0 && (self.delta || self.pick_specular <= 0.0)
+        let smooth_base = self.delta || self.pick.specular <= 0.0;
+        let smooth_coat = self.pick.coat <= 0.0 || self.layers.is_none_or(|l| l.coat_delta);
+        !self.lambert
+            && self.pick.cosine + self.pick.below + self.pick.sheen <= 0.0
+            && smooth_base
+            && smooth_coat
     }
 
     /// Estimate of the share of light that leaves again towards `wo`, all lobes: for roulette, denoising guides and VPLs.
@@ -435,4 +229,13 @@ impl Bsdf {
     pub fn albedo(&self) -> Vec3 {
         self.albedo
     }
+}
+
+/// Into `[0, 1]`; NaN becomes 0.
+fn unit(x: f32) -> f32 {
+    if x > 0.0 { x.min(1.0) } else { 0.0 }
+}
+
+fn unit_color(c: Vec3) -> Vec3 {
+    Vec3::new(unit(c.x), unit(c.y), unit(c.z))
 }

@@ -1,8 +1,9 @@
 //! From material parameters to lobes: what each lobe reflects towards one `wo`, and how often it is sampled.
 
 use super::albedo::{Row, Split};
-use super::microfacet::{ALPHA_DELTA, schlick_weight};
-use super::{Bsdf, BsdfParameters, Wall};
+use super::layers::Layers;
+use super::microfacet::{ALPHA_DELTA, schlick_weight, smith_root};
+use super::{Bsdf, BsdfParameters, Cover, Pick, Wall, unit, unit_color};
 use glam::Vec3;
 
 /// A Schlick reflectance with what several bounces on the microsurface add to it.
@@ -52,15 +53,6 @@ const INDEX_MATCHED: f32 = 1.001;
 /// half vector `wo + eta wi` has too few digits left.
 const REFRACTION_DELTA: f32 = 1e-4;
 
-/// Into `[0, 1]`; NaN becomes 0.
-fn unit(x: f32) -> f32 {
-    if x > 0.0 { x.min(1.0) } else { 0.0 }
-}
-
-fn unit_color(c: Vec3) -> Vec3 {
-    Vec3::new(unit(c.x), unit(c.y), unit(c.z))
-}
-
 impl Bsdf {
     const BLACK: Self = Self {
         lambert: false,
@@ -68,9 +60,11 @@ impl Bsdf {
         wall: Wall::Opaque,
         diffuse: Vec3::ZERO,
         multiple: Vec3::ZERO,
+        below: Vec3::ZERO,
         through: [1.0, 0.0, 0.0],
         row: Row::ZERO,
         alpha: 1.0,
+        root_o: 1.0,
         f0: Vec3::ZERO,
         f90: 0.0,
         tint: Vec3::ZERO,
@@ -79,9 +73,16 @@ impl Bsdf {
         glass: [Vec3::ZERO; 2],
         glass_scale: 0.0,
         eta: 1.0,
-        pick_cosine: 0.0,
-        pick_specular: 0.0,
-        pick_pass: 0.0,
+        layers: None,
+        cover: Cover::Near,
+        pick: Pick {
+            cosine: 0.0,
+            specular: 0.0,
+            below: 0.0,
+            pass: 0.0,
+            coat: 0.0,
+            sheen: 0.0,
+        },
         albedo: Vec3::ZERO,
     };
 
@@ -94,7 +95,8 @@ impl Bsdf {
         let metallic = unit(parameters.metallic);
         let specular = unit(parameters.specular);
         let transmission = unit(parameters.transmission);
-        if metallic == 0.0 && specular == 0.0 && transmission == 0.0 {
+        let layers = Layers::new(parameters, wo.z);
+        if metallic == 0.0 && specular == 0.0 && transmission == 0.0 && layers.is_none() {
             return Self {
                 lambert: base.max_element() > 0.0,
                 diffuse: base,
@@ -107,11 +109,11 @@ impl Bsdf {
         let alpha = roughness * roughness;
         let delta = alpha < ALPHA_DELTA;
         let row = Row::new(if delta { 0.0 } else { roughness });
-        let (e, mean) = if delta {
-            let b = schlick_weight(wo.z);
-            (Split { a: 1.0 - b, b }, row.mean())
+        let mean = row.mean();
+        let e = if delta {
+            Split::mirror(wo.z)
         } else {
-            (row.at(wo.z), row.mean())
+            row.at(wo.z)
         };
 
         // KHR_materials_ior, KHR_materials_specular. An index of 0 stands for an infinite one.
@@ -138,10 +140,13 @@ impl Bsdf {
             delta,
             row,
             alpha,
+            root_o: smith_root(alpha, wo.z),
+            layers,
             ..Self::BLACK
         };
         bsdf.f0 = dielectric.f0 * opaque_share + metal.f0 * metallic;
         bsdf.f90 = dielectric.f90 * opaque_share + metal.f90 * metallic;
+        let lost_mean = mean.lost();
         let mut multiple = dielectric.multiple * opaque_share + metal.multiple * metallic;
         let mut transmitted = Vec3::ZERO;
         let mut glass_reflected = Vec3::ZERO;
@@ -160,6 +165,11 @@ impl Bsdf {
             bsdf.tint = base * glass_share;
             let reflected = bsdf.sheet[0] * e.a + f90 * e.b;
             transmitted = bsdf.tint * (e.a + e.b - reflected);
+            // What neither the single bounce nor the layer's several bounces reflect crosses the wall instead.
+            if !delta && lost_mean > NEGLIGIBLE_LOSS {
+                let barrier = multiple_bounces(bsdf.sheet[0], f90, mean);
+                bsdf.below = bsdf.tint * ((1.0 - barrier) * e.lost() / lost_mean);
+            }
         } else if glass_share > 0.0 && ior < INDEX_MATCHED {
             bsdf.pass = base * glass_share;
         } else if glass_share > 0.0 {
@@ -179,7 +189,6 @@ impl Bsdf {
         }
 
         // Lambert's part below the dielectric layer, in the reciprocal form (1 - E(wo)) (1 - E(wi)) / (1 - mean E) (Kulla & Conty).
-        let lost_mean = mean.lost();
         let under = 1.0 - barrier.albedo(mean);
         if under > 0.0 && opaque_share > 0.0 {
             bsdf.through = [
@@ -193,13 +202,39 @@ impl Bsdf {
             bsdf.multiple = multiple * (e.lost() / lost_mean);
         }
 
-        let cosine = bsdf.diffuse * under + bsdf.multiple * lost_mean;
-        let specular = bsdf.f0 * e.a + Vec3::splat(bsdf.f90) * e.b + glass_reflected + transmitted;
-        bsdf.albedo = cosine + specular + bsdf.pass;
-        let picks = [cosine, specular, bsdf.pass].map(Vec3::max_element);
+        let mut cosine = bsdf.diffuse * under + bsdf.multiple * lost_mean;
+        let mut specular =
+            bsdf.f0 * e.a + Vec3::splat(bsdf.f90) * e.b + glass_reflected + transmitted;
+        let below = bsdf.below * lost_mean;
+        let (mut coat, mut sheen) = (0.0, Vec3::ZERO);
+        if let Some(layers) = &layers {
+            if bsdf.wall == Wall::Thick && !parameters.entering {
+                bsdf.cover = Cover::Far;
+            } else {
+                // The cosine lobe's dimming is normalised, so that the light kept by it is exactly what `wo` gets through.
+                let (under, lost) = bsdf.mean_dimming(row, layers);
+                bsdf.diffuse *= layers.through_o / under;
+                bsdf.multiple *= layers.through_o / lost;
+                cosine *= layers.through_o;
+                specular *= layers.through_o;
+                coat = layers.coat_albedo(wo.z);
+                sheen = layers.sheen_color_albedo(wo.z);
+            }
+        }
+        bsdf.albedo = cosine + specular + below + bsdf.pass + coat + sheen;
+        let picks =
+            [cosine, specular, below, bsdf.pass, Vec3::splat(coat), sheen].map(Vec3::max_element);
         let total: f32 = picks.iter().sum();
         if total > 0.0 {
-            [bsdf.pick_cosine, bsdf.pick_specular, bsdf.pick_pass] = picks.map(|p| p / total);
+            let [cosine, specular, below, pass, coat, sheen] = picks.map(|p| p / total);
+            bsdf.pick = Pick {
+                cosine,
+                specular,
+                below,
+                pass,
+                coat,
+                sheen,
+            };
         }
         bsdf
     }

@@ -1,0 +1,138 @@
+//! What lies on top of the base material: clear coat (`KHR_materials_clearcoat`) over sheen (`KHR_materials_sheen`).
+//!
+//! The coat is a GGX lobe of index 1.5; the sheen is Estevez & Kulla's "Charlie" distribution (2017), `D = (2 + 1/a) sin^(1/a) / 2π`, with
+//! Neubelt's visibility `1 / 4 (cos_i + cos_o - cos_i cos_o)`. Each layer takes its directional albedo `E` from what is below; a lobe
+//! below is dimmed by the smaller of `1 - E(wo)` and `1 - E(wi)` (as the sheen extension proposes), which is reciprocal and never gains light. The
+//! cosine lobe, where that would lose several per cent, takes the normalised product instead (see `setup`). Wrong tool for: coloured
+//! coats, and light that bounces between coat and base.
+
+use super::albedo::{Row, Split, sheen_albedo};
+use super::microfacet::{
+    ALPHA_DELTA, g1_over_2cos, g2_over_4cos_cos, ggx_d, schlick_weight, smith_root,
+};
+use super::{BsdfParameters, unit, unit_color};
+use glam::Vec3;
+use std::f32::consts::PI;
+
+/// Reflectance of the coat at normal incidence (index 1.5).
+const COAT_F0: f32 = 0.04;
+
+/// Sheen gets no smoother than this perceptual roughness: below, the lobe is a needle along the horizon that nothing here samples well.
+pub(super) const SHEEN_ROUGHNESS_MIN: f32 = 0.1;
+
+/// Coat and sheen over one surface point.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Layers {
+    coat: f32,
+    pub coat_alpha: f32,
+    pub coat_delta: bool,
+    coat_row: Row,
+    pub sheen: Vec3,
+    sheen_max: f32,
+    sheen_roughness: f32,
+    /// Light that gets through both layers, and through the coat alone, along `wo`.
+    pub through_o: f32,
+    coat_through_o: f32,
+}
+
+impl Layers {
+    /// `None` when neither layer is there.
+    pub fn new(parameters: &BsdfParameters, cos_o: f32) -> Option<Self> {
+        let coat = unit(parameters.clearcoat);
+        let sheen = unit_color(parameters.sheen_color);
+        let sheen_max = sheen.max_element();
+        if coat == 0.0 && sheen_max == 0.0 {
+            return None;
+        }
+        let roughness = unit(parameters.clearcoat_roughness);
+        let coat_alpha = roughness * roughness;
+        let coat_delta = coat_alpha < ALPHA_DELTA;
+        let mut layers = Self {
+            coat,
+            coat_alpha,
+            coat_delta,
+            coat_row: Row::new(if coat_delta { 0.0 } else { roughness }),
+            sheen,
+            sheen_max,
+            sheen_roughness: unit(parameters.sheen_roughness).max(SHEEN_ROUGHNESS_MIN),
+            through_o: 1.0,
+            coat_through_o: 1.0,
+        };
+        layers.coat_through_o = layers.coat_through(cos_o);
+        layers.through_o = layers.through(cos_o);
+        Some(layers)
+    }
+
+    /// Directional albedo of the coat.
+    pub fn coat_albedo(&self, cos: f32) -> f32 {
+        if self.coat == 0.0 {
+            return 0.0;
+        }
+        let e = if self.coat_delta {
+            Split::mirror(cos)
+        } else {
+            self.coat_row.at(cos)
+        };
+        self.coat * (COAT_F0 * e.a + e.b)
+    }
+
+    fn coat_through(&self, cos: f32) -> f32 {
+        1.0 - self.coat_albedo(cos)
+    }
+
+    /// Directional albedo of the sheen (of its strongest channel), the coat above it left out.
+    fn sheen_albedo(&self, cos: f32) -> f32 {
+        if self.sheen_max == 0.0 {
+            0.0
+        } else {
+            self.sheen_max * sheen_albedo(self.sheen_roughness, cos)
+        }
+    }
+
+    /// What the sheen reflects towards `wo` through the coat, by channel.
+    pub fn sheen_color_albedo(&self, cos_o: f32) -> Vec3 {
+        if self.sheen_max == 0.0 {
+            return Vec3::ZERO;
+        }
+        self.sheen * (self.coat_through_o * sheen_albedo(self.sheen_roughness, cos_o))
+    }
+
+    /// Share of light that both layers leave to what is below, along one direction.
+    pub fn through(&self, cos: f32) -> f32 {
+        self.coat_through(cos) * (1.0 - self.sheen_albedo(cos))
+    }
+
+    /// The dimming of a lobe below.
+    pub fn dim(&self, cos_i: f32) -> f32 {
+        self.through_o.min(self.through(cos_i))
+    }
+
+    /// Reflectance of one facet of the coat.
+    pub fn coat_facet(&self, cos: f32) -> f32 {
+        self.coat * (COAT_F0 + (1.0 - COAT_F0) * schlick_weight(cos))
+    }
+
+    /// `(f cos, pdf of visible normals)` of the rough coat.
+    pub fn eval_coat(&self, wo: Vec3, wi: Vec3, h: Vec3) -> (f32, f32) {
+        let d = ggx_d(self.coat_alpha, h);
+        let root_o = smith_root(self.coat_alpha, wo.z);
+        let root_i = smith_root(self.coat_alpha, wi.z);
+        let value =
+            self.coat_facet(wo.dot(h)) * d * g2_over_4cos_cos(wo.z, root_o, wi.z, root_i) * wi.z;
+        (value, d * 0.5 * g1_over_2cos(wo.z, root_o))
+    }
+
+    /// `f cos` of the sheen, the coat's dimming included.
+    pub fn eval_sheen(&self, wo: Vec3, wi: Vec3, h: Vec3) -> Vec3 {
+        let dim = self.coat_through_o.min(self.coat_through(wi.z));
+        self.sheen * (dim * charlie(self.sheen_roughness, wo, wi, h) * wi.z)
+    }
+}
+
+/// The sheen's BRDF for a white sheen.
+pub(super) fn charlie(roughness: f32, wo: Vec3, wi: Vec3, h: Vec3) -> f32 {
+    let inverse_alpha = 1.0 / (roughness * roughness);
+    let sin2 = h.x * h.x + h.y * h.y;
+    let d = (2.0 + inverse_alpha) * sin2.powf(0.5 * inverse_alpha) / (2.0 * PI);
+    d / (4.0 * (wi.z + wo.z - wi.z * wo.z)).max(f32::MIN_POSITIVE)
+}
