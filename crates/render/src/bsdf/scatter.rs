@@ -174,7 +174,7 @@ impl Bsdf {
     }
 
     /// What the layers leave of light that crosses the wall from `wi` to `wo`.
-    fn dim_transmission(&self, wo: Vec3, wi: Vec3) -> f32 {
+    pub(super) fn dim_transmission(&self, wo: Vec3, wi: Vec3) -> f32 {
         match (&self.layers, self.wall, self.cover) {
             (None, ..) => 1.0,
             (Some(l), Wall::Thick, Cover::Near) => l.through(wo.z),
