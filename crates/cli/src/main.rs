@@ -32,7 +32,7 @@ const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), " (", env!("OCCLUDE_COM
 ///
 /// Results go to stdout, messages to stderr. Exit codes: 0 done, 1 failed or incomplete, 2 bad usage or input, 130 cancelled.
 #[derive(Debug, Parser)]
-#[command(name = "occlude", version = VERSION, arg_required_else_help = true, max_term_width = 110)]
+#[command(name = "occlude", version = VERSION, arg_required_else_help = true, args_override_self = true, max_term_width = 110)]
 #[command(after_help = "Start with: occlude render SCENE.glb -o picture.png")]
 struct Cli {
     #[command(subcommand)]
@@ -175,6 +175,18 @@ mod tests {
                 );
             }
         }
+    }
+
+    #[test]
+    fn of_a_repeated_option_the_last_counts_but_outputs_add_up() {
+        let line =
+            "occlude render a.glb --seed 7 --seed 8 --samples 2 --samples 3 -o a.exr -o b.png";
+        let cli = Cli::try_parse_from(line.split(' ')).unwrap();
+        let Command::Render(args) = cli.command else {
+            panic!("not render");
+        };
+        assert_eq!((cli.common.seed, args.samples), (8, Some(3)));
+        assert_eq!(args.output.len(), 2);
     }
 
     #[test]
