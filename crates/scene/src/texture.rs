@@ -201,3 +201,137 @@ static SRGB8: LazyLock<[f32; 256]> = LazyLock::new(|| {
         linear as f32
     })
 });
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn image(width: u32, height: u32, texels: Vec<[u8; 4]>) -> Vec<Image> {
+        vec![Image {
+            name: String::new(),
+            width,
+            height,
+            texels: Texels::Rgba8(texels),
+        }]
+    }
+
+    fn texture(wrap: Wrap, filter: Filter, srgb: bool) -> Texture {
+        Texture {
+            image: 0,
+            sampler: Sampler {
+                wrap_u: wrap,
+                wrap_v: wrap,
+                filter,
+            },
+            srgb,
+        }
+    }
+
+    #[test]
+    fn srgb_is_decoded_before_filtering() {
+        let images = image(2, 1, vec![[0, 0, 0, 0], [255, 188, 255, 255]]);
+        let srgb = texture(Wrap::Clamp, Filter::Linear, true).sample(&images, [0.5, 0.5]);
+        // Half of linear 1, not the linear value of half-way grey (0.214); alpha is never sRGB.
+        assert!((srgb.x - 0.5).abs() < 1e-6);
+        assert!((srgb.y - 0.5 * 0.502_886).abs() < 1e-4);
+        assert!((srgb.w - 0.5).abs() < 1e-6);
+        let plain = texture(Wrap::Clamp, Filter::Linear, false).sample(&images, [0.5, 0.5]);
+        assert!((plain.y - 0.5 * 188.0 / 255.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn centres_are_exact_and_between_is_linear() {
+        // Not a power of two, and both directions differ.
+        let texels: Vec<[u8; 4]> = (0..15).map(|i| [i * 10, i * 3, 0, 255]).collect();
+        let images = image(5, 3, texels.clone());
+        for wrap in [Wrap::Repeat, Wrap::Mirror, Wrap::Clamp] {
+            let t = texture(wrap, Filter::Linear, false);
+            for (i, texel) in texels.iter().enumerate() {
+                let uv = [(i % 5) as f32 / 5.0 + 0.1, (i / 5) as f32 / 3.0 + 1.0 / 6.0];
+                let wanted = Vec4::from(texel.map(f32::from)) / 255.0;
+                assert!(
+                    t.sample(&images, uv).distance(wanted) < 1e-5,
+                    "{wrap:?} {i}"
+                );
+            }
+            let quarter = t.sample(&images, [0.1 + 0.2 * 0.25, 1.0 / 6.0]);
+            assert!((quarter.x - 2.5 / 255.0).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn edges_wrap_as_they_should() {
+        let images = image(2, 1, vec![[0, 0, 0, 255], [200, 0, 0, 255]]);
+        let red = |wrap, u: f32| {
+            texture(wrap, Filter::Linear, false)
+                .sample(&images, [u, 0.5])
+                .x
+                * 255.0
+        };
+        let close = |a: f32, b: f32| assert!((a - b).abs() < 1e-3, "{a} is not {b}");
+        // At the edge itself: both neighbours alike when repeated, the edge alone otherwise.
+        close(red(Wrap::Repeat, 0.0), 100.0);
+        close(red(Wrap::Repeat, 1.0), 100.0);
+        close(red(Wrap::Repeat, -0.25), 200.0);
+        close(red(Wrap::Repeat, 7.25), 0.0);
+        close(red(Wrap::Mirror, 0.0), 0.0);
+        close(red(Wrap::Mirror, 1.25), 200.0);
+        close(red(Wrap::Mirror, 1.75), 0.0);
+        close(red(Wrap::Mirror, -0.75), 200.0);
+        close(red(Wrap::Clamp, -3.0), 0.0);
+        close(red(Wrap::Clamp, 3.0), 200.0);
+        let nearest = texture(Wrap::Repeat, Filter::Nearest, false);
+        for (u, wanted) in [
+            (0.0, 0.0),
+            (0.499, 0.0),
+            (0.5, 200.0),
+            (0.999, 200.0),
+            (-0.001, 200.0),
+        ] {
+            close(nearest.sample(&images, [u, 0.5]).x * 255.0, wanted);
+        }
+    }
+
+    #[test]
+    fn odd_coordinates_do_no_harm() {
+        let images = image(3, 3, vec![[255; 4]; 9]);
+        for wrap in [Wrap::Repeat, Wrap::Mirror, Wrap::Clamp] {
+            for filter in [Filter::Nearest, Filter::Linear] {
+                let t = texture(wrap, filter, true);
+                for u in [
+                    f32::NAN,
+                    f32::INFINITY,
+                    -f32::INFINITY,
+                    1e30,
+                    -1e30,
+                    1e-30,
+                    -1e-30,
+                    16_777_216.5,
+                    -1e-8,
+                ] {
+                    for uv in [[u, 0.3], [0.3, u], [u, u]] {
+                        assert!(
+                            t.sample(&images, uv).distance(Vec4::ONE) < 1e-5,
+                            "{wrap:?} {uv:?}"
+                        );
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn sixteen_bits_are_kept() {
+        let texels = Texels::Rgba16(vec![[1, 32768, 65535, 65535]]);
+        let images = vec![Image {
+            name: String::new(),
+            width: 1,
+            height: 1,
+            texels,
+        }];
+        let c = texture(Wrap::Repeat, Filter::Linear, false).sample(&images, [0.2, 0.9]);
+        assert!((c.x - 1.0 / 65535.0).abs() < 1e-9 && (c.y - 32768.0 / 65535.0).abs() < 1e-6);
+        let c = texture(Wrap::Repeat, Filter::Linear, true).sample(&images, [0.2, 0.9]);
+        assert!((c.y - srgb_to_linear(32768.0 / 65535.0)).abs() < 1e-6);
+    }
+}

@@ -20,7 +20,7 @@ pub(super) enum Component {
 }
 
 impl Component {
-    fn from_code(code: u32) -> Option<Self> {
+    pub fn from_code(code: u32) -> Option<Self> {
         Some(match code {
             5120 => Self::I8,
             5121 => Self::U8,
@@ -30,6 +30,18 @@ impl Component {
             5126 => Self::F32,
             _ => return None,
         })
+    }
+
+    /// The stored value that means 1 in a normalised array.
+    pub fn one(self) -> f32 {
+        match self {
+            Self::I8 => 127.0,
+            Self::U8 => 255.0,
+            Self::I16 => 32767.0,
+            Self::U16 => 65535.0,
+            Self::U32 => 4_294_967_295.0,
+            Self::F32 => 1.0,
+        }
     }
 
     fn size(self) -> usize {
@@ -52,7 +64,7 @@ pub(super) enum Shape {
 }
 
 impl Shape {
-    fn from_name(name: &str) -> Option<Self> {
+    pub fn from_name(name: &str) -> Option<Self> {
         Some(match name {
             "SCALAR" => Self::Scalar,
             "VEC2" => Self::Vec2,
@@ -63,7 +75,7 @@ impl Shape {
         })
     }
 
-    fn components(self) -> usize {
+    pub fn components(self) -> usize {
         match self {
             Self::Scalar => 1,
             Self::Vec2 => 2,
@@ -219,7 +231,20 @@ fn elements_end(offset: u64, count: u64, stride: usize, size: usize) -> Option<u
     }
 }
 
-impl Accessor<'_> {
+impl<'a> Accessor<'a> {
+    /// An accessor of tightly packed elements that a decoder has made: floats, or integers of 32 bits.
+    pub fn decoded(bytes: &'a [u8], component: Component, shape: Shape) -> Self {
+        let size = component.size() * shape.components();
+        Self {
+            count: bytes.len() / size,
+            component,
+            shape,
+            normalized: false,
+            base: Some((bytes, size)),
+            sparse: None,
+        }
+    }
+
     /// Elements as floats; normalised integers become fractions, others keep their value. `N` is at most the number of
     /// components an element has.
     pub fn floats<const N: usize, T: Clone>(&self, map: impl Fn([f32; N]) -> T) -> Vec<T> {

@@ -153,6 +153,22 @@ pub(super) struct Primitive {
     pub mode: Option<u32>,
     #[serde(default)]
     pub targets: Vec<BTreeMap<String, u32>>,
+    #[serde(default)]
+    pub extensions: PrimitiveExtensions,
+}
+
+#[derive(Debug, Default, Deserialize)]
+pub(super) struct PrimitiveExtensions {
+    #[serde(rename = "KHR_draco_mesh_compression")]
+    pub draco: Option<Draco>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct Draco {
+    pub buffer_view: u32,
+    #[serde(default)]
+    pub attributes: BTreeMap<String, u32>,
 }
 
 #[derive(Debug, Deserialize)]

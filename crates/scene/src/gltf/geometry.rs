@@ -2,7 +2,9 @@
 
 use super::accessor::{Accessor, Shape};
 use super::document::Primitive;
+use super::draco;
 use super::source::Source;
+use super::tangents;
 use crate::{Material, Mesh, MorphTarget, SceneError, Skinning, Warning};
 use glam::{Vec2, Vec3, Vec4};
 use std::collections::BTreeMap;
@@ -25,7 +27,16 @@ pub(super) fn primitive(
         warnings.push(Warning::new(place, &format!("{kind} not drawn")));
         return Ok((None, warnings));
     }
-    let reader = Attributes { source, place };
+    let compressed = match &entry.extensions.draco {
+        Some(draco) => Some(draco::decode(source, entry, draco, place)?),
+        None => None,
+    };
+    let compressed = compressed.as_ref();
+    let reader = Attributes {
+        source,
+        place,
+        compressed,
+    };
     let Some(&position) = entry.attributes.get("POSITION") else {
         warnings.push(Warning::new(
             place,
@@ -33,21 +44,16 @@ pub(super) fn primitive(
         ));
         return Ok((None, warnings));
     };
-    let position = source.accessor(position, &format!("{place}, POSITION"), &[Shape::Vec3])?;
+    let position = reader.accessor(position, "POSITION", &[Shape::Vec3])?;
     let mut positions = position.floats(Vec3::from_array);
 
-    let corners = match entry.indices {
-        None => (0..positions.len().min(u32::MAX as usize) as u32).collect(),
-        Some(index) => {
-            let place = format!("{place}, indices");
-            let accessor = source.accessor(index, &place, &[Shape::Scalar])?;
-            let Some(corners) = accessor.integers(|[i]: [u32; 1]| i) else {
-                return Err(source.fault(&place, "indices must be unsigned integers", RE_EXPORT));
-            };
-            corners
+    let mut triangles = match compressed {
+        Some(mesh) => mesh.triangles.clone(),
+        None => {
+            let corners = corners(source, entry, positions.len(), place)?;
+            assemble(source, &corners, mode, place, &mut warnings)?
         }
     };
-    let mut triangles = assemble(source, &corners, mode, place, &mut warnings)?;
     let highest = triangles.as_flattened().iter().copied().max();
     if let Some(i) = highest.filter(|&i| i as usize >= positions.len()) {
         let what = format!(
@@ -57,14 +63,14 @@ pub(super) fn primitive(
         return Err(source.fault(place, &what, RE_EXPORT));
     }
 
-    let before = triangles.len();
     if positions.iter().any(|p| !p.is_finite()) {
+        let before = triangles.len();
         triangles.retain(|t| t.iter().all(|&i| positions[i as usize].is_finite()));
-        let what = format!(
-            "{} triangles with positions that are not finite were dropped",
-            before - triangles.len()
-        );
-        warnings.push(Warning::new(place, &what));
+        let lost = before - triangles.len();
+        if lost > 0 {
+            let what = format!("{lost} triangles with positions that are not finite were dropped");
+            warnings.push(Warning::new(place, &what));
+        }
     }
     triangles.retain(|&[a, b, c]| a != b && b != c && a != c);
     if triangles.is_empty() {
@@ -111,13 +117,35 @@ pub(super) fn primitive(
         let reader = Attributes {
             source,
             place: &place,
+            compressed: None,
         };
         mesh.morph_targets
             .push(morph_target(&reader, target, &vertices, &mesh)?);
     }
     repair_normals(&mut mesh);
     repair_tangents(&mut mesh);
+    if let Some(map) = look.normal.as_ref().or(look.clearcoat_normal.as_ref())
+        && mesh.tangents.is_empty()
+    {
+        tangents::generate(&mut mesh, map.texture.uv_set);
+    }
     Ok((Some(mesh), warnings))
+}
+
+/// The vertices that corners name, or all of them in their order.
+fn corners(
+    source: &Source,
+    entry: &Primitive,
+    vertices: usize,
+    place: &str,
+) -> Result<Vec<u32>, SceneError> {
+    let Some(index) = entry.indices else {
+        return Ok((0..vertices.min(u32::MAX as usize) as u32).collect());
+    };
+    let place = format!("{place}, indices");
+    let accessor = source.accessor(index, &place, &[Shape::Scalar])?;
+    let corners = accessor.integers(|[i]: [u32; 1]| i);
+    corners.ok_or_else(|| source.fault(&place, "indices must be unsigned integers", RE_EXPORT))
 }
 
 /// Turns corners into triangles: glTF 2.0, section 3.7.2.1.
@@ -211,9 +239,26 @@ impl Vertices {
 struct Attributes<'a> {
     source: &'a Source,
     place: &'a str,
+    /// What stands in for the accessors of a compressed primitive.
+    compressed: Option<&'a draco::Decoded>,
 }
 
-impl Attributes<'_> {
+impl<'a> Attributes<'a> {
+    fn accessor(
+        &self,
+        index: u32,
+        name: &str,
+        shapes: &[Shape],
+    ) -> Result<Accessor<'a>, SceneError> {
+        match self.compressed.and_then(|c| c.accessor(name)) {
+            Some(accessor) if shapes.contains(&accessor.shape) => Ok(accessor),
+            _ => {
+                let place = format!("{}, {name}", self.place);
+                self.source.accessor(index, &place, shapes)
+            }
+        }
+    }
+
     /// An attribute, as long as the mesh; empty if the primitive lacks it.
     fn read<T: Copy>(
         &self,
@@ -226,13 +271,13 @@ impl Attributes<'_> {
         let Some(&index) = attributes.get(name) else {
             return Ok(Vec::new());
         };
-        let place = format!("{}, {name}", self.place);
-        let accessor = self.source.accessor(index, &place, shapes)?;
+        let accessor = self.accessor(index, name, shapes)?;
         if accessor.count != vertices.count {
             let what = format!(
                 "{} elements for {} vertices",
                 accessor.count, vertices.count
             );
+            let place = format!("{}, {name}", self.place);
             return Err(self.source.fault(&place, &what, RE_EXPORT));
         }
         let mut array = read(&accessor);

@@ -338,3 +338,7 @@ fn exponential(bytes: &mut [u8]) {
         *e = (value as f32).to_le_bytes();
     }
 }
+
+#[cfg(test)]
+#[path = "meshopt_tests.rs"]
+mod tests;

@@ -9,12 +9,14 @@
 mod accessor;
 mod animation;
 mod document;
+mod draco;
 mod geometry;
 mod hierarchy;
 mod images;
 mod materials;
 mod meshopt;
 mod source;
+mod tangents;
 
 use crate::{Contents, Instance, Material, Mesh, Pose, Scene, SceneError, Warning};
 use accessor::Shape;
@@ -31,10 +33,11 @@ const RE_EXPORT: &str = "export the file again";
 const MOST_INSTANCES: u64 = 1 << 24;
 
 /// Extensions that this loader understands.
-const SUPPORTED: [&str; 13] = [
+const SUPPORTED: [&str; 15] = [
     "EXT_mesh_gpu_instancing",
     "EXT_meshopt_compression",
     "EXT_texture_webp",
+    "KHR_draco_mesh_compression",
     "KHR_lights_punctual",
     "KHR_materials_clearcoat",
     "KHR_materials_emissive_strength",
@@ -45,8 +48,8 @@ const SUPPORTED: [&str; 13] = [
     "KHR_materials_unlit",
     "KHR_materials_volume",
     "KHR_mesh_quantization",
+    "KHR_texture_transform",
 ];
-const SUPPORTED_TEXTURES: &str = "KHR_texture_transform";
 
 /// Loads a `.gltf` or `.glb` file.
 pub(crate) fn load(
@@ -148,7 +151,7 @@ pub(crate) fn load(
 }
 
 fn is_supported(extension: &str) -> bool {
-    SUPPORTED.contains(&extension) || extension == SUPPORTED_TEXTURES
+    SUPPORTED.contains(&extension)
 }
 
 fn check_extensions(source: &Source) -> Result<(), SceneError> {
@@ -161,7 +164,6 @@ fn check_extensions(source: &Source) -> Result<(), SceneError> {
         None => Ok(()),
         Some(name) => {
             let cure = match name.as_str() {
-                "KHR_draco_mesh_compression" => "export without Draco compression",
                 "KHR_texture_basisu" => "export textures as PNG, JPEG or WebP",
                 "KHR_meshopt_compression" => {
                     "export with EXT_meshopt_compression or without compression"
@@ -369,8 +371,13 @@ fn primitive_bytes(source: &Source, primitive: &document::Primitive) -> u64 {
             .accessors
             .get(*accessor as usize)
             .map_or(0, |a| a.count);
-        // What is more than the file holds will be refused.
-        claimed.min(source.total_bytes())
+        // What is more than the file holds will be refused, unless it is compressed.
+        let compressed = primitive.extensions.draco.is_some();
+        if compressed {
+            claimed.min(1 << 40)
+        } else {
+            claimed.min(source.total_bytes())
+        }
     };
     let attributes = primitive.attributes.values().map(|a| 16 * count(a));
     let targets = primitive
