@@ -28,6 +28,13 @@ pub(super) struct Textures<'a> {
     pub warnings: Vec<Warning>,
 }
 
+/// All textures and their decoded images.
+pub(super) struct Pictures {
+    pub textures: Vec<Texture>,
+    pub images: Vec<Image>,
+    pub warnings: Vec<Warning>,
+}
+
 impl<'a> Textures<'a> {
     pub fn new(source: &'a Source) -> Self {
         Self {
@@ -125,10 +132,7 @@ impl<'a> Textures<'a> {
     }
 
     /// Decodes all images that were asked for.
-    pub fn decode(
-        mut self,
-        budget: &mut Budget,
-    ) -> Result<(Vec<Texture>, Vec<Image>, Vec<Warning>), SceneError> {
+    pub fn decode(mut self, budget: &mut Budget) -> Result<Pictures, SceneError> {
         let mut encoded = Vec::with_capacity(self.images.len());
         for &image in &self.images {
             encoded.push(fetch(self.source, image, budget)?);
@@ -150,7 +154,11 @@ impl<'a> Textures<'a> {
                 }
             }));
         }
-        Ok((self.textures, images, self.warnings))
+        Ok(Pictures {
+            textures: self.textures,
+            images,
+            warnings: self.warnings,
+        })
     }
 }
 

@@ -184,7 +184,7 @@ fn filters_agree_with_the_other_implementation() {
     assert_eq!(filtered(&stored, "QUATERNION"), wanted);
 
     let numbers: Vec<u32> = (0..400u32)
-        .map(|i| (i % 40).wrapping_sub(20) << 24 | (i * 41_943 & 0xff_ffff))
+        .map(|i| ((i % 40).wrapping_sub(20) << 24) | ((i * 41_943) & 0xff_ffff))
         .collect();
     let mut wanted = numbers.clone();
     filter::decode_filter_exp(&mut wanted);
@@ -196,7 +196,10 @@ fn filters_agree_with_the_other_implementation() {
 fn negative_quaternion_components_stay_negative() {
     // (-1/2, -1/2, -1/2) of a scale of 1023 / sqrt(2), w left out: it is 1/2. Then x left out.
     let half = (0.5 * 1023.0 * std::f32::consts::SQRT_2) as i16;
-    for (left_out, wanted) in [(0usize, [0.5, -0.5, -0.5, -0.5]), (3, [-0.5, -0.5, -0.5, 0.5])] {
+    for (left_out, wanted) in [
+        (0usize, [0.5, -0.5, -0.5, -0.5]),
+        (3, [-0.5, -0.5, -0.5, 0.5]),
+    ] {
         let words = [-half, -half, -half, 1020 + left_out as i16];
         let bytes: [u8; 8] = std::array::from_fn(|i| words[i / 2].to_le_bytes()[i % 2]);
         let out = filtered(&[bytes], "QUATERNION");

@@ -69,19 +69,13 @@ pub(crate) fn load(
     let mut textures = Textures::new(&source);
     let plan = MeshPlan::new(&source, &hierarchy, &mut budget)?;
     let materials = plan.materials(&source, &mut textures)?;
-    let (images, meshes) = rayon::join(
-        || {
-            let mut image_budget = Budget::new(path, None);
-            std::mem::swap(&mut image_budget, &mut budget);
-            let decoded = textures.decode(&mut image_budget);
-            (decoded, image_budget)
-        },
+    let (decoded, meshes) = rayon::join(
+        || textures.decode(&mut budget),
         || plan.meshes(&source, &materials),
     );
-    let (decoded, mut budget) = images;
     let (meshes, mesh_of) = meshes?.collect(&mut warnings);
-    let (textures, images, texture_warnings) = decoded?;
-    warnings.extend(texture_warnings);
+    let pictures = decoded?;
+    warnings.extend(pictures.warnings);
 
     let skins = (0..source.document.skins.len())
         .map(|i| hierarchy::skin(&source, i, &hierarchy.ours))
@@ -96,8 +90,8 @@ pub(crate) fn load(
         meshes,
         skins,
         materials,
-        textures,
-        images,
+        textures: pictures.textures,
+        images: pictures.images,
         sky: sky(&source, chosen, &mut warnings),
         contents: contents(&source, &hierarchy, chosen),
         ..Scene::default()
