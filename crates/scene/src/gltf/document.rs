@@ -78,6 +78,8 @@ pub(super) struct Light {
     #[serde(default = "one")]
     pub intensity: f32,
     pub spot: Option<Spot>,
+    /// May hold `angular_diameter` (radians) of a directional light, as our writer leaves it.
+    pub extras: Option<serde_json::Value>,
 }
 
 #[derive(Debug, Deserialize)]

@@ -276,7 +276,12 @@ pub(super) fn light(
     }
     let kind = match light.kind.as_str() {
         "directional" => LightKind::Directional {
-            angular_diameter: 0.0,
+            angular_diameter: light
+                .extras
+                .as_ref()
+                .and_then(|extras| extras.get("angular_diameter")?.as_f64())
+                .filter(|angle| (0.0..=std::f64::consts::PI).contains(angle))
+                .unwrap_or(0.0) as f32,
         },
         "point" => LightKind::Point,
         "spot" => {

@@ -17,7 +17,7 @@ pub(super) fn cornell(detail: f32) -> Builder {
     let white = b.material(lambert("white", [0.73, 0.73, 0.73]));
     let red = b.material(lambert("red", [0.63, 0.065, 0.05]));
     let green = b.material(lambert("green", [0.14, 0.45, 0.091]));
-    let lamp = b.material(emitter("lamp", [17.0, 12.0, 4.0]));
+    let lamp = b.material(emitter("lamp", [26.0, 19.0, 8.5]));
     let (x, y) = ([-HALF, HALF], [0.0, HEIGHT]);
     let mut shell = Shape::default();
     shell.rect(1, true, 0.0, x, x, n);

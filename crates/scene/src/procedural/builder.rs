@@ -6,7 +6,7 @@ use crate::{
     Camera, Image, Instance, Light, LightKind, Material, Mesh, Node, Projection, Sampler, Scene,
     Texels, Texture, TextureRef,
 };
-use glam::{Affine2, Affine3A, Mat3, Vec3, Vec4};
+use glam::{Affine2, Affine3A, Mat3, Vec3};
 
 pub(super) struct Builder {
     pub scene: Scene,
@@ -46,15 +46,6 @@ pub(super) fn emitter(name: &str, radiance: [f32; 3]) -> Material {
     Material {
         emission: radiance.into(),
         ..lambert(name, [0.5; 3])
-    }
-}
-
-/// A thin pane.
-pub(super) fn pane(name: &str) -> Material {
-    Material {
-        transmission: 1.0,
-        base_color: Vec4::ONE,
-        ..glossy(name, [1.0; 3], 0.0)
     }
 }
 

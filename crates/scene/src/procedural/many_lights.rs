@@ -106,7 +106,7 @@ pub(super) fn many_lights(detail: f32, seed: u64) -> Builder {
         b.add("goods", shape, material);
     }
     // Lights hang in the aisles and stick to the racks' edges. Their powers span three decades.
-    let mut at = |rng: &mut Rng| {
+    let at = |rng: &mut Rng| {
         let row = rng.below(rows + 1);
         let w = if row == 0 {
             -z + 0.8

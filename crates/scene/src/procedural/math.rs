@@ -107,16 +107,6 @@ impl Place {
         ))
     }
 
-    /// Turned about +Z before everything else.
-    pub fn turned_z(self, turns: f32) -> Self {
-        let (s, c) = sin_cos(turns);
-        self.after(Mat3::from_cols(
-            Vec3::new(c, s, 0.0),
-            Vec3::new(-s, c, 0.0),
-            Vec3::Z,
-        ))
-    }
-
     /// Scaled before everything else.
     pub fn scaled(self, scale: Vec3) -> Self {
         self.after(Mat3::from_diagonal(scale))
@@ -164,8 +154,6 @@ mod tests {
         );
         let p = Place::HERE.turned_x(0.25).point(Vec3::Y);
         assert!(p.distance(Vec3::Z) < 1e-6);
-        let p = Place::HERE.turned_z(0.25).point(Vec3::X);
-        assert!(p.distance(Vec3::Y) < 1e-6);
     }
 
     #[test]
