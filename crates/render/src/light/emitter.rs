@@ -46,15 +46,12 @@ pub(super) struct EmitterSample {
     pub(super) normal: Vec3,
 }
 
-/// Radiance that a triangle of a mesh emits at the barycentric point `(u, v)`, as seen from its front or back.
+/// Radiance that a triangle of a mesh emits at a barycentric point on a side that emits.
 ///
-/// What the material lets pass (its alpha) is not deducted: whoever hits the surface has already decided that it is there.
-pub fn emission(scene: &Scene, mesh: u32, primitive: u32, barycentric: Vec2, front: bool) -> Vec3 {
+/// What the material lets pass (its alpha) is not deducted.
+fn emission(scene: &Scene, mesh: u32, primitive: u32, barycentric: Vec2) -> Vec3 {
     let mesh = &scene.meshes[mesh as usize];
     let material = &scene.materials[mesh.material as usize];
-    if material.emission == Vec3::ZERO || !(front || material.double_sided) {
-        return Vec3::ZERO;
-    }
     material.emission
         * texel(
             scene,
@@ -231,7 +228,7 @@ impl EmissiveTriangle {
         if material.emission_texture.is_none() && material.alpha_mode == AlphaMode::Opaque {
             return material.emission;
         }
-        emission(scene, self.mesh, self.primitive, barycentric, true)
+        emission(scene, self.mesh, self.primitive, barycentric)
             * coverage(scene, mesh, material, self.primitive, barycentric)
     }
 
@@ -247,11 +244,11 @@ impl Emitters {
         let mut emitters = Self::default();
         for (instance, posed) in pose.instances.iter().enumerate() {
             let mesh = &scene.meshes[posed.mesh as usize];
-            let emits = scene
+            let lit = scene
                 .materials
                 .get(mesh.material as usize)
-                .is_some_and(|m| m.emission.is_finite() && m.emission.max_element() > 0.0);
-            if !emits {
+                .is_some_and(emits);
+            if !lit {
                 emitters.base_of_instance.push(NONE);
                 continue;
             }
@@ -286,6 +283,11 @@ impl Emitters {
     }
 }
 
+/// Unlit surfaces show their base colour and nothing else; they light nothing.
+fn emits(material: &Material) -> bool {
+    !material.unlit && material.emission.is_finite() && material.emission.max_element() > 0.0
+}
+
 fn emissive_triangle(
     scene: &Scene,
     pose: &Pose,
@@ -311,7 +313,8 @@ fn emissive_triangle(
     (power > 0.0 && power.is_finite()).then_some(emissive)
 }
 
-/// Mean over a triangle of what it emits, by a lattice of points about as dense as the texels.
+/// Mean over a triangle of what it emits, by a lattice of points about as dense as the texels. Where it falls between a few
+/// lit texels and finds nothing, the triangle is no light: paths that hit it still see it.
 fn mean_radiance(scene: &Scene, mesh_index: u32, primitive: u32) -> Vec3 {
     const MOST_POINTS: f32 = 1024.0;
     let mesh = &scene.meshes[mesh_index as usize];
@@ -335,7 +338,9 @@ fn mean_radiance(scene: &Scene, mesh_index: u32, primitive: u32) -> Vec3 {
             }
             let [a, b, c] = corners.map(|i| reference.transform.transform_point2(uvs[i as usize]));
             let image = &scene.images[scene.textures[reference.texture as usize].image as usize];
-            0.5 * (b - a).perp_dot(c - a).abs() * image.width as f32 * image.height as f32
+            // Of the rectangle around it: a triangle squeezed to a line in the texture has no area there.
+            let size = a.max(b).max(c) - a.min(b).min(c);
+            (1.0 + size.x * image.width as f32) * (1.0 + size.y * image.height as f32)
         })
         .fold(0.0, f32::max);
     let varies = material.emission_texture.is_some() || material.alpha_mode != AlphaMode::Opaque;
@@ -349,7 +354,7 @@ fn mean_radiance(scene: &Scene, mesh_index: u32, primitive: u32) -> Vec3 {
         // The R2 sequence (Roberts 2018): evenly spread for any number of points.
         let u = Vec2::new(0.5 + 0.754_877_7 * i as f32, 0.5 + 0.569_840_3 * i as f32).fract_gl();
         let barycentric = uniform_barycentric(u);
-        sum += emission(scene, mesh_index, primitive, barycentric, true)
+        sum += emission(scene, mesh_index, primitive, barycentric)
             * coverage(scene, mesh, material, primitive, barycentric);
     }
     (sum / points as f32).max(Vec3::ZERO)

@@ -18,7 +18,6 @@ mod spherical;
 mod sun;
 mod tree;
 
-pub use emitter::emission;
 pub use environment::Environment;
 
 use emitter::{EmissiveTriangle, Emitters};

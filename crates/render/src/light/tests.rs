@@ -3,7 +3,9 @@
 use super::*;
 use glam::{Affine3A, DVec3, Mat3};
 use occlude_image::Picture;
-use occlude_scene::{Instance, Material, Mesh, Node, PosedInstance};
+use occlude_scene::{
+    AlphaMode, Image, Instance, Material, Mesh, Node, PosedInstance, Texels, Texture, TextureRef,
+};
 use std::f32::consts::PI;
 
 /// SplitMix64.
@@ -221,6 +223,84 @@ fn mirrored_instances_emit_from_their_front() {
     let lights = Lights::new(&scene, &pose, None, LightSelection::Power);
     assert!(irradiance(&lights, &scene, Vec3::NEG_Y, Vec3::Y, 1).0 > 0.1);
     assert_eq!(irradiance(&lights, &scene, Vec3::Y, Vec3::NEG_Y, 1).0, 0.0);
+}
+
+/// A square lit through a texture of 16 x 1 texels: only the first quarter shines, or is there at all.
+fn textured(alpha_mode: AlphaMode) -> (Scene, Pose) {
+    let (mut scene, pose) = scene_of(vec![(
+        square(Vec3::ZERO, Vec3::NEG_Y, 1.0),
+        Vec3::splat(3.0),
+        false,
+    )]);
+    let texels = (0..16)
+        .map(|i| if i < 4 { [255; 4] } else { [0; 4] })
+        .collect();
+    scene.images.push(Image {
+        name: String::new(),
+        width: 16,
+        height: 1,
+        texels: Texels::Rgba8(texels),
+    });
+    let sampler = occlude_scene::Sampler {
+        filter: occlude_scene::Filter::Nearest,
+        ..Default::default()
+    };
+    scene.textures.push(Texture {
+        image: 0,
+        sampler,
+        srgb: true,
+    });
+    let corners = square(Vec3::ZERO, Vec3::NEG_Y, 1.0);
+    let (origin, across) = (corners[0][0], (corners[0][1] - corners[0][0]) / 4.0);
+    let uv = |p: &Vec3| Vec2::new((*p - origin).dot(across), 0.5);
+    scene.meshes[0].uv0 = corners.iter().flatten().map(uv).collect();
+    let reference = TextureRef {
+        texture: 0,
+        uv_set: 0,
+        transform: glam::Affine2::IDENTITY,
+    };
+    let material = &mut scene.materials[0];
+    material.alpha_mode = alpha_mode;
+    match alpha_mode {
+        AlphaMode::Opaque => material.emission_texture = Some(reference),
+        _ => material.base_color_texture = Some(reference),
+    }
+    (scene, pose)
+}
+
+#[test]
+fn textures_and_alpha_shape_emission() {
+    // The strip of the square that shines, as a polygon of its own.
+    let corners = square(Vec3::ZERO, Vec3::NEG_Y, 1.0);
+    let [a, b, d] = [corners[0][0], corners[0][1], corners[1][2]];
+    let quarter = (b - a) * 0.25;
+    let position = Vec3::new(0.2, -0.7, 0.1);
+    let expected = 3.0 * polygon_irradiance(position, Vec3::Y, &[a, a + quarter, d + quarter, d]);
+    for mode in [
+        AlphaMode::Opaque,
+        AlphaMode::Mask { cutoff: 0.5 },
+        AlphaMode::Blend,
+    ] {
+        let (scene, pose) = textured(mode);
+        for selection in SELECTIONS {
+            let lights = Lights::new(&scene, &pose, None, selection);
+            let found = irradiance(&lights, &scene, position, Vec3::Y, 12);
+            assert_near(found, expected, &format!("{mode:?} {selection:?}"));
+            assert_eq!(lights.len(), 2);
+            for emissive in &lights.emitters.triangles {
+                // One triangle of the square has 7/16 of its area in the strip, the other 1/16.
+                let share = emissive.mean_radiance.x / 3.0;
+                assert!(
+                    (share - 7.0 / 16.0).abs() < 0.06 || (share - 1.0 / 16.0).abs() < 0.06,
+                    "{share}"
+                );
+            }
+        }
+    }
+    // What shows only its base colour lights nothing.
+    let (mut scene, pose) = textured(AlphaMode::Opaque);
+    scene.materials[0].unlit = true;
+    assert!(Lights::new(&scene, &pose, None, LightSelection::Tree).is_empty());
 }
 
 #[test]

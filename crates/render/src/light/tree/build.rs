@@ -118,11 +118,12 @@ impl Node {
         self.center_x[slot] = bounds.center.x;
         self.center_y[slot] = bounds.center.y;
         self.center_z[slot] = bounds.center.z;
-        self.radius2[slot] = bounds.radius * bounds.radius;
+        self.radius[slot] = bounds.radius;
+        self.per_radius2[slot] = 1.0 / (bounds.radius * bounds.radius);
         self.axis_x[slot] = bounds.axis.x;
         self.axis_y[slot] = bounds.axis.y;
         self.axis_z[slot] = bounds.axis.z;
-        self.cos_spread[slot] = bounds.spread.cos();
+        (self.sin_spread[slot], self.cos_spread[slot]) = bounds.spread.sin_cos();
         // Beyond a quarter turn there is no light from a surface: exactly 0, not the rounded cosine.
         self.cos_emission[slot] = if bounds.emission == FRAC_PI_2 {
             0.0

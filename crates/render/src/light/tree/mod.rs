@@ -31,13 +31,16 @@ struct Node {
     center_x: [f32; WIDTH],
     center_y: [f32; WIDTH],
     center_z: [f32; WIDTH],
-    /// Squared radius of the sphere that holds the lights.
-    radius2: [f32; WIDTH],
+    /// Radius of the sphere that holds the lights.
+    radius: [f32; WIDTH],
+    /// One over its square; may be infinite.
+    per_radius2: [f32; WIDTH],
     axis_x: [f32; WIDTH],
     axis_y: [f32; WIDTH],
     axis_z: [f32; WIDTH],
     /// Cosine of the spread of the lights' own axes around the axis.
     cos_spread: [f32; WIDTH],
+    sin_spread: [f32; WIDTH],
     /// Cosine of the angle from its own axis up to which a light shines.
     cos_emission: [f32; WIDTH],
     /// Sum of the lights' intensities along their axes; negative if some of them shine backwards too, 0 for no child.
@@ -126,19 +129,19 @@ impl Promise {
             return None;
         }
         let target = x * f64::from(self.sum);
-        let mut before = 0.0_f64;
-        let mut picked = None;
+        let mut after = 0.0_f64;
+        let mut picked = 0;
         for (child, &promise) in self.of_child.iter().enumerate() {
             if promise > 0.0 {
-                let rest = (target - before) / f64::from(promise);
-                picked = Some((child, rest.clamp(0.0, 1.0 - f64::EPSILON)));
-                before += f64::from(promise);
-                if target < before {
+                picked = child;
+                after += f64::from(promise);
+                if target < after {
                     break;
                 }
             }
         }
-        picked
+        let left = (after - target) / f64::from(self.of_child[picked]);
+        Some((picked, (1.0 - left).clamp(0.0, 1.0 - f64::EPSILON)))
     }
 }
 
@@ -184,9 +187,9 @@ impl Node {
             let distance2 = x * x + y * y + z * z;
             let per_distance = 1.0 / distance2.sqrt();
             // Half of the angle under which the sphere is seen.
-            let outside = distance2 > self.radius2[i];
-            let sin2_half = smaller(self.radius2[i] / distance2, 1.0);
-            let (sin_half, cos_half) = (sin2_half.sqrt(), (1.0 - sin2_half).sqrt());
+            let sin_half = self.radius[i] * per_distance;
+            let outside = sin_half < 1.0;
+            let cos_half = sin_of(sin_half);
             // The angle at the light, less the spread of axes, less the half angle: the least that any of the lights may have.
             let facing =
                 -(self.axis_x[i] * x + self.axis_y[i] * y + self.axis_z[i] * z) * per_distance;
@@ -197,7 +200,7 @@ impl Node {
             };
             let cos_axis = smaller(larger(backwards, -1.0), 1.0);
             let sin_axis = sin_of(cos_axis);
-            let (cos_spread, sin_spread) = (self.cos_spread[i], sin_of(self.cos_spread[i]));
+            let (cos_spread, sin_spread) = (self.cos_spread[i], self.sin_spread[i]);
             let within = cos_axis > cos_spread;
             let cos_beyond = if within {
                 1.0
@@ -232,8 +235,12 @@ impl Node {
             };
             let received = larger(received, 0.0);
             // A light at the very point gives nothing that could be computed with.
-            let reach2 = larger(distance2, self.radius2[i]);
-            let nearness = if reach2 > 0.0 { 1.0 / reach2 } else { 0.0 };
+            let nearest = smaller(per_distance * per_distance, self.per_radius2[i]);
+            let nearness = if nearest < f32::INFINITY {
+                nearest
+            } else {
+                0.0
+            };
             of_child[i] = smaller(
                 self.intensity[i].abs() * emitted * received * nearness,
                 MOST,
