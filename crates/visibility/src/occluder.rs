@@ -15,17 +15,22 @@
 //!
 //! A bin whose ray went free forgets its blocker: lit places then pay for a table look-up only, not for a triangle test.
 //!
-//! Wrong tool: where most questions find light (nothing to remember), and for tracers that cannot name their blockers (a
-//! closure), where it costs a little more than `Exact` and saves nothing.
+//! Measured on path tracing with 8 scattering events, 256 x 256 pixels, 9 samples: of all questions memory answers 38 % in
+//! `sponza` (one sun, half of all blocked rays; time 0.9 to 1.0 of `Exact`), 15 to 23 % in `apartment` (thousands of point
+//! lights) and 8 % in `white_room` (large area lights; both take 1.2 times as long as `Exact`). So it pays where rays are
+//! dear and lights are few and small, or with a slow tracer. Larger tables answer more and take longer.
+//!
+//! Wrong tool: where most questions find light (nothing to remember), for incoherent questions about large lights, and for
+//! tracers that cannot name their blockers (a closure), where it costs a little more than `Exact` and saves nothing.
 
 use crate::stats::{Footprint, Held};
 use crate::{Class, LightEnd, Query, Ray, Tracer, Visibility, VisibilityStats};
 use glam::{Vec2, Vec3};
 
 /// Bins along each side of the octahedral map of directions around a point light.
-const POINT_BINS: f32 = 32.0;
+const POINT_BINS: f32 = 8.0;
 /// The same around a cell of an emitting surface.
-const SURFACE_BINS: f32 = 16.0;
+const SURFACE_BINS: f32 = 8.0;
 /// Bins along each side of the octahedral map of sky directions.
 const SKY_BINS: f32 = 8.0;
 /// Cells across the extent of all eyes seen so far, for lights of a direction.

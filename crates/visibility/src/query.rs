@@ -11,7 +11,7 @@ pub struct Endpoint {
     pub position: Vec3,
     /// Density of the sampling that put the point there, in samples per square unit (0: not known). At an eye end all eye
     /// samples of one pass count (`N_S P_e` in Popov 2013); at a light end it is the probability density of one sample
-    /// (`P_l`), given that this light was picked.
+    /// (`P_l`), the probability of having picked this light included.
     pub density: f32,
     /// Unit geometric normal, on the side that the connection leaves.
     pub normal: Vec3,
@@ -44,7 +44,7 @@ pub enum LightEnd {
     SolidAngle {
         /// Unit vector towards the light.
         direction: Vec3,
-        /// Probability density of the sampling per steradian, given that this light was picked.
+        /// Probability density of the sampling per steradian, the probability of having picked this light included.
         density: f32,
     },
 }
@@ -56,9 +56,9 @@ pub struct Query {
     pub eye: Endpoint,
     /// Who is asked for.
     pub light: LightEnd,
-    /// How many questions of this technique one eye sample asks about this light on average (`N_P / N_S`): light samples
-    /// for each eye sample, times the probability of picking this light. Caches size their clusters by it; exact
-    /// strategies ignore it.
+    /// How many questions of this technique one eye sample asks on average (`N_P / N_S`). For a point or a direction, which
+    /// have no density: times the probability of picking this light. Caches size their clusters by it; exact strategies
+    /// ignore it.
     pub connections: f32,
     /// The ray that answers the question exactly: already moved off the surfaces at either end.
     pub ray: Ray,

@@ -341,7 +341,13 @@ fn shade_hit(
                     let density =
                         path.direction_density * toward_eye.dot(surface.normal).abs() / spread;
                     let eye = Endpoint::new(surface.position, normal, density);
-                    ask(Query::new(eye, light.end, ray), contribution);
+                    // The densities of other ends hold the probability of the pick; exact ends have none to hold it.
+                    let connections = if light.delta { light.pdf } else { 1.0 };
+                    let query = Query {
+                        connections,
+                        ..Query::new(eye, light.end, ray)
+                    };
+                    ask(query, contribution);
                 }
             }
         }
