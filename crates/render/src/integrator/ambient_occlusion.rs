@@ -43,7 +43,7 @@ pub(super) fn render_unit<'a, V: Visibility<Geometry<'a>>>(
             normal: surface.shading_normal(),
             depth: hit.t,
         };
-        let [_, _, u, v] = start.sampler.next();
+        let [u, v, ..] = start.sampler.next();
         let local = crate::sampling::warp::cosine_hemisphere(glam::Vec2::new(u, v));
         let direction = surface.world_from_local * local;
         if direction.dot(surface.normal) <= 0.0 {

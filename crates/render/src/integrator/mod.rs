@@ -307,22 +307,21 @@ impl Unit {
 
     /// The samples of the unit, pixel by pixel.
     fn starts<'a>(&'a self, settings: &'a RenderSettings) -> impl Iterator<Item = Start> + 'a {
-        let pixels = (self.y..self.y + self.height)
-            .flat_map(move |y| (self.x..self.x + self.width).map(move |x| (x, y)));
-        pixels.flat_map(move |(x, y)| {
-            self.samples.clone().map(move |sample| {
-                let number = settings.samples.start + sample;
-                let mut sampler = Sampler::new(settings.sampler, settings.seed, [x, y], number);
-                let [u, v, ..] = sampler.next();
-                let point = Vec2::new(x as f32 + 0.5, y as f32 + 0.5)
-                    + settings.filter.offset(Vec2::new(u, v));
-                Start {
-                    x,
-                    y,
-                    sampler,
-                    point,
-                }
-            })
+        let together = self.samples.len() as u32;
+        (0..self.width * self.height * together).map(move |i| {
+            let (pixel, sample) = (i / together, self.samples.start + i % together);
+            let (x, y) = (self.x + pixel % self.width, self.y + pixel / self.width);
+            let number = settings.samples.start + sample;
+            let mut sampler = Sampler::new(settings.sampler, settings.seed, [x, y], number);
+            let [u, v, ..] = sampler.next();
+            let point =
+                Vec2::new(x as f32 + 0.5, y as f32 + 0.5) + settings.filter.offset(Vec2::new(u, v));
+            Start {
+                x,
+                y,
+                sampler,
+                point,
+            }
         })
     }
 }

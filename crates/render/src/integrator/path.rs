@@ -298,7 +298,8 @@ fn shade_hit(
 
     let segment = path.depth + path.panes;
     path.sampler.jump(1 + segment * SETS_PER_SEGMENT);
-    let [pick, u, v, roulette] = path.sampler.next();
+    // The best stratified pair of a set goes to what matters most.
+    let [u, v, pick, roulette] = path.sampler.next();
     let distance = path.travelled + hit.t;
     let light_normal = if parameters.transmission > 0.0 {
         Vec3::ZERO
@@ -353,7 +354,7 @@ fn shade_hit(
         }
     }
 
-    let [lobe, u, v, _] = path.sampler.next();
+    let [u, v, lobe, _] = path.sampler.next();
     let Some(sample) = bsdf.sample(wo, lobe, Vec2::new(u, v)) else {
         return false;
     };
