@@ -151,9 +151,9 @@ impl Wrap {
             return 0.0;
         }
         match self {
-            Self::Repeat => u - u.floor(),
+            Self::Repeat => u - floor(u),
             Self::Mirror => {
-                let twice = u - 2.0 * (0.5 * u).floor();
+                let twice = u - 2.0 * floor(0.5 * u);
                 1.0 - (1.0 - twice).abs()
             }
             Self::Clamp => u.clamp(0.0, 1.0),
@@ -164,7 +164,7 @@ impl Wrap {
     #[inline]
     fn neighbours(self, u: f32, size: usize) -> (usize, usize, f32) {
         let x = u * size as f32 - 0.5;
-        let floor = x.floor();
+        let floor = floor(x);
         // From -1 to size - 1, as the coordinate is in [0, 1].
         let low = floor as i64;
         let last = size as i64 - 1;
@@ -177,6 +177,22 @@ impl Wrap {
             Self::Mirror | Self::Clamp => (low.max(0), (low + 1).min(last)),
         };
         (a.min(last) as usize, b as usize, x - floor)
+    }
+}
+
+/// [`f32::floor`] without a call, on processors that have no instruction for it.
+#[inline]
+fn floor(x: f32) -> f32 {
+    /// From here on every number is whole.
+    const WHOLE: f32 = 8_388_608.0;
+    if x.abs() >= WHOLE {
+        return x;
+    }
+    let truncated = x as i32 as f32;
+    if truncated > x {
+        truncated - 1.0
+    } else {
+        truncated
     }
 }
 

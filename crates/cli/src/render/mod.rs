@@ -15,7 +15,7 @@ use occlude_image::{Depth, Look, Picture};
 use occlude_render::camera::{PixelFilter, View};
 use occlude_render::film::Film;
 use occlude_render::geometry::Geometry;
-use occlude_render::integrator::{self, RenderSettings, StoppedBy, World, render};
+use occlude_render::integrator::{self, PathLimits, RenderSettings, StoppedBy, World, render};
 use occlude_render::sampling::SamplerKind;
 use occlude_render::work::{Work, shard_samples};
 use occlude_scene::{Pose, Scene};
@@ -191,12 +191,13 @@ fn settings(args: &RenderArgs, seed: u64) -> RenderSettings {
     let total = args.total_samples();
     RenderSettings {
         integrator: match args.integrator {
-            Integrator::Path => integrator::Integrator::Path {
+            Integrator::Path => integrator::Integrator::Path(PathLimits {
                 max_depth: args.max_depth,
-            },
-            Integrator::Direct => integrator::Integrator::Path {
-                max_depth: args.max_depth.min(1),
-            },
+                regularize: args.regularize,
+            }),
+            Integrator::Direct => {
+                integrator::Integrator::Path(PathLimits::new(args.max_depth.min(1)))
+            }
             Integrator::Ao => integrator::Integrator::AmbientOcclusion {
                 distance: args.ao_distance.unwrap_or(f32::INFINITY),
             },

@@ -30,12 +30,13 @@ pub(super) fn accepts(scene: &Scene, mesh: &Mesh, ray: &Ray, hit: &Hit) -> bool 
 }
 
 /// Interpolates a per-vertex array.
+#[inline]
 pub(super) fn interpolate<T>(values: &[T], triangle: [u32; 3], u: f32, v: f32) -> T
 where
     T: Copy + std::ops::Mul<f32, Output = T> + std::ops::Add<Output = T>,
 {
-    let [a, b, c] = triangle.map(|vertex| values[vertex as usize]);
-    a * (1.0 - u - v) + b * u + c * v
+    let [a, b, c] = triangle;
+    values[a as usize] * (1.0 - u - v) + values[b as usize] * u + values[c as usize] * v
 }
 
 /// The UV of a texture at a point of a triangle: (0, 0) if the mesh lacks the set.

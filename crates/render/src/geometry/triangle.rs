@@ -22,8 +22,9 @@ impl WorldTriangle {
         let mesh = &scene.meshes[posed.mesh as usize];
         let positions = pose.positions(scene, instance as usize);
         let world_from_object = posed.world_from_object;
-        let corners = mesh.triangles[primitive as usize]
-            .map(|vertex| world_from_object.transform_point3(positions[vertex as usize]));
+        let corner = |vertex: u32| world_from_object.transform_point3(positions[vertex as usize]);
+        let [a, b, c] = mesh.triangles[primitive as usize];
+        let corners = [corner(a), corner(b), corner(c)];
         Self {
             corners,
             mirrored: world_from_object.matrix3.determinant() < 0.0,

@@ -33,15 +33,32 @@ const SAMPLES_TOGETHER: u32 = 4;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Integrator {
     /// Unidirectional path tracing with next-event estimation and multiple importance sampling (Kajiya 1986; Veach 1997).
-    Path {
-        /// Most scattering events on a path: 0 sees emitters only, 1 adds direct light.
-        max_depth: u32,
-    },
+    Path(PathLimits),
     /// Share of the cosine-weighted hemisphere that nothing blocks within a distance.
     AmbientOcclusion {
         /// The distance, metres; may be infinite.
         distance: f32,
     },
+}
+
+/// What a path may do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PathLimits {
+    /// Most scattering events on a path: 0 sees emitters only, 1 adds direct light.
+    pub max_depth: u32,
+    /// Blurs glossy surfaces and clear bodies that are seen by way of a rough one (path regularization in the manner of
+    /// Kaplanyan & Dachsbacher 2013): far fewer fireflies, caustics too soft. Off: unbiased.
+    pub regularize: bool,
+}
+
+impl PathLimits {
+    /// Unbiased paths of at most `max_depth` scattering events.
+    pub fn new(max_depth: u32) -> Self {
+        Self {
+            max_depth,
+            regularize: false,
+        }
+    }
 }
 
 /// What is rendered, and when it is good enough.
@@ -193,13 +210,13 @@ pub fn render<'a, V: Visibility<Geometry<'a>>>(
                 + visibility.stats(&worker.visibility).traced;
             let mut tile = lock(&shared_film).tile(unit.x, unit.y, unit.width, unit.height);
             match settings.integrator {
-                Integrator::Path { max_depth } => {
+                Integrator::Path(limits) => {
                     path::render_unit(
                         world,
                         view,
                         visibility,
                         settings,
-                        max_depth,
+                        limits,
                         &unit,
                         &mut worker,
                         &mut tile,

@@ -6,7 +6,7 @@
 //!
 //! The wrong tool where light comes only through small holes or by way of caustics: such paths are found by chance alone.
 
-use super::{RenderSettings, Unit, Worker, World};
+use super::{PathLimits, RenderSettings, Unit, Worker, World};
 use crate::bsdf::Bsdf;
 use crate::camera::View;
 use crate::film::{Features, FilmTile};
@@ -20,6 +20,10 @@ const MOST_PANES: u32 = 64;
 
 /// Scattering events after which roulette may end a path.
 const ROULETTE_AFTER: u32 = 2;
+
+/// Least perceptual roughness of what a regularized path sees after a scattering event that was not a mirror. Such paths
+/// find caustics so rarely that each find is a firefly; the blur brings the finds together.
+const REGULARIZED_ROUGHNESS: f32 = 0.5;
 
 /// Dimension sets that one segment of a path uses.
 const SETS_PER_SEGMENT: u32 = 2;
@@ -47,6 +51,8 @@ struct Path {
     parallel: bool,
     /// Length of the way from where the direction was chosen to the ray's origin.
     travelled: f32,
+    /// Some event so far was not a mirror.
+    blurred: bool,
     /// Absorption per metre of what the ray is in.
     absorption: Vec3,
     features: Features,
@@ -86,7 +92,7 @@ pub(super) fn render_unit<'a, V: Visibility<Geometry<'a>>>(
     view: &View,
     visibility: &V,
     settings: &RenderSettings,
-    max_depth: u32,
+    limits: PathLimits,
     unit: &Unit,
     worker: &mut Worker<V::Worker>,
     tile: &mut FilmTile,
@@ -108,6 +114,7 @@ pub(super) fn render_unit<'a, V: Visibility<Geometry<'a>>>(
             direction_density: camera.pixel_density,
             parallel: camera.parallel,
             travelled: 0.0,
+            blurred: false,
             absorption: Vec3::ZERO,
             features: Features::default(),
         }
@@ -123,7 +130,7 @@ pub(super) fn render_unit<'a, V: Visibility<Geometry<'a>>>(
             worker.rays.secondary += scratch.alive.len() as u64;
         }
         extend(world.geometry, scratch);
-        shade(world, max_depth, first, scratch);
+        shade(world, limits, first, scratch);
         scratch.answers.clear();
         scratch.answers.resize(scratch.queries.len(), 0.0);
         visibility.answer(
@@ -152,7 +159,7 @@ fn extend(geometry: &Geometry, scratch: &mut Scratch) {
 }
 
 /// Shades all hits: adds emission, asks for light, goes on in a new direction or ends the path.
-fn shade(world: &World, max_depth: u32, first: bool, scratch: &mut Scratch) {
+fn shade(world: &World, limits: PathLimits, first: bool, scratch: &mut Scratch) {
     scratch.queries.clear();
     scratch.pending.clear();
     let Scratch {
@@ -172,7 +179,7 @@ fn shade(world: &World, max_depth: u32, first: bool, scratch: &mut Scratch) {
                 add_environment(world, path, first);
                 false
             }
-            Some(hit) => shade_hit(world, max_depth, first, path, hit, |query, contribution| {
+            Some(hit) => shade_hit(world, limits, first, path, hit, |query, contribution| {
                 queries.push(query);
                 pending.push(Pending {
                     path: index,
@@ -239,7 +246,7 @@ fn add_environment(world: &World, path: &mut Path, first: bool) {
 /// Shades one hit; returns whether the path goes on. `ask` takes visibility questions and what they bring.
 fn shade_hit(
     world: &World,
-    max_depth: u32,
+    limits: PathLimits,
     first: bool,
     path: &mut Path,
     hit: Hit,
@@ -279,7 +286,12 @@ fn shade_hit(
         return false;
     }
 
-    let parameters = surface.bsdf_parameters(geometry);
+    let is_pane = is_pane(surface.material());
+    let mut parameters = surface.bsdf_parameters(geometry);
+    if limits.regularize && path.blurred && !is_pane {
+        parameters.roughness = parameters.roughness.max(REGULARIZED_ROUGHNESS);
+        parameters.clearcoat_roughness = parameters.clearcoat_roughness.max(REGULARIZED_ROUGHNESS);
+    }
     let world_from_local = surface.world_from_local;
     let local_from_world = world_from_local.transpose();
     let wo = local_from_world * toward_eye;
@@ -291,8 +303,7 @@ fn shade_hit(
             depth: hit.t,
         };
     }
-    let is_pane = is_pane(surface.material());
-    if path.depth >= max_depth && !is_pane {
+    if path.depth >= limits.max_depth && !is_pane {
         return false;
     }
 
@@ -307,7 +318,7 @@ fn shade_hit(
         surface.shading_normal()
     };
 
-    if !bsdf.is_delta() && path.depth < max_depth {
+    if !bsdf.is_delta() && path.depth < limits.max_depth {
         let sample = world.lights.sample(
             geometry.scene,
             surface.position,
@@ -373,7 +384,7 @@ fn shade_hit(
         path.travelled = distance;
     } else {
         path.depth += 1;
-        if path.depth > max_depth {
+        if path.depth > limits.max_depth {
             return false;
         }
         path.last = (!sample.delta).then_some(Scattering {
@@ -387,6 +398,7 @@ fn shade_hit(
             path.travelled = 0.0;
             path.direction_density = sample.pdf;
             path.parallel = false;
+            path.blurred = true;
         }
         if side < 0.0
             && let Some(volume) = surface.material().volume
