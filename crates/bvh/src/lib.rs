@@ -18,6 +18,7 @@
 //! about as much as tracing one ray a triangle), and on a GPU.
 
 mod accel;
+mod buffer;
 mod build;
 mod filter;
 mod input;

@@ -1,5 +1,6 @@
 //! The plain data of a tree: nodes, blocks of triangles, and how one names the other.
 
+use crate::buffer::Buffer;
 use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 
@@ -11,8 +12,9 @@ pub(crate) const LANES: usize = 4;
 pub(crate) const MAX_LEAF_BLOCKS: usize = 8;
 /// Deepest tree: the builder switches to splitting in the middle early enough.
 pub(crate) const MAX_DEPTH: usize = 96;
-/// Entries that a traversal can have waiting: each level leaves at most seven siblings.
-pub(crate) const STACK: usize = (WIDTH - 1) * MAX_DEPTH + WIDTH;
+/// Entries of a traversal's stack: each level leaves at most seven siblings; one at the bottom, and room to write eight at
+/// once.
+pub(crate) const STACK: usize = (WIDTH - 1) * MAX_DEPTH + 2 * WIDTH;
 /// Set in a triangle's id if its hits must pass the filter.
 pub(crate) const FILTERED: u32 = 1 << 31;
 /// The id of an unused lane.
@@ -198,8 +200,8 @@ impl Bounds {
 #[derive(Clone, Debug)]
 pub(crate) struct Tree {
     /// Node 0 is the root; no nodes: an empty tree.
-    pub nodes: Vec<Node>,
-    pub blocks: Vec<Block>,
+    pub nodes: Buffer<Node>,
+    pub blocks: Buffer<Block>,
     pub bounds: Bounds,
     /// Nodes on the longest way down.
     pub depth: usize,

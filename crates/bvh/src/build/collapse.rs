@@ -11,6 +11,7 @@
 
 use super::sah::Binary;
 use super::{Triangles, bounds_of, half_area, write_blocks};
+use crate::buffer::Buffer;
 use crate::node::{Block, Child, LANES, MAX_DEPTH, MAX_LEAF_BLOCKS, Node, Tree, WIDTH};
 use rayon::prelude::*;
 
@@ -42,12 +43,10 @@ pub(super) fn collapse(binary: &Binary, triangles: &impl Triangles, watertight: 
         triangles,
         watertight,
     };
-    let mut out = collapser.write(0);
-    out.nodes.shrink_to_fit();
-    out.blocks.shrink_to_fit();
+    let out = collapser.write(0);
     let mut tree = Tree {
-        nodes: out.nodes,
-        blocks: out.blocks,
+        nodes: Buffer::from_slice(&out.nodes),
+        blocks: Buffer::from_slice(&out.blocks),
         bounds: bounds_of(&binary.nodes[0].hull),
         depth: out.depth,
         built_cost: 0.0,
@@ -89,10 +88,10 @@ pub(crate) fn cost(tree: &Tree) -> f32 {
 }
 
 /// Least costs from the leaves up; children stand after their parents, so backwards is upwards.
-fn choose(binary: &Binary) -> Vec<Choice> {
+fn choose(binary: &Binary) -> Buffer<Choice> {
     let nodes = &binary.nodes;
-    let mut costs: Vec<Costs> = vec![[0.0; WIDTH - 1]; nodes.len()];
-    let mut choices: Vec<Choice> = vec![[0; WIDTH]; nodes.len()];
+    let mut costs = Buffer::<Costs>::zeroed(nodes.len());
+    let mut choices = Buffer::<Choice>::zeroed(nodes.len());
     // Number of the first reference below each node is needed only to keep placed instances out of shared leaves.
     let has_placed = binary.refs.iter().any(|r| r.is_placed());
     let mut placed_below = vec![false; if has_placed { nodes.len() } else { 0 }];
@@ -155,7 +154,7 @@ fn choose(binary: &Binary) -> Vec<Choice> {
 
 struct Collapser<'a, T> {
     binary: &'a Binary,
-    choices: Vec<Choice>,
+    choices: Buffer<Choice>,
     triangles: &'a T,
     watertight: bool,
 }
@@ -189,7 +188,7 @@ impl<T: Triangles> Collapser<'_, T> {
         let to_left = usize::from(self.choices[n][WIDTH - 1]);
         self.pick(node.link(), to_left, &mut picks);
         self.pick(node.link() + 1, WIDTH - to_left, &mut picks);
-        picks.sort_by_key(|p| std::cmp::Reverse(self.binary.nodes[p.binary].count()));
+        picks.sort_by_key(|p| self.binary.nodes[p.binary].count());
         picks
     }
 

@@ -7,6 +7,7 @@ pub(crate) mod collapse;
 mod kernels;
 mod sah;
 
+use crate::buffer::Buffer;
 use crate::node::{Block, Bounds, Tree};
 use glam::Vec3;
 
@@ -22,7 +23,7 @@ pub(crate) const EMPTY_HULL: Hull = [f32::INFINITY; 8];
 
 /// Something to be put into the tree, and its box. 32 bytes, since the builder streams over arrays of these.
 #[repr(C, align(32))]
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, bytemuck::Zeroable)]
 pub(crate) struct Ref {
     hull: Hull,
 }
@@ -96,8 +97,8 @@ pub(crate) trait Triangles: Sync {
 pub(crate) fn build(refs: Vec<Ref>, triangles: &impl Triangles, watertight: bool) -> Tree {
     if refs.is_empty() {
         return Tree {
-            nodes: Vec::new(),
-            blocks: Vec::new(),
+            nodes: Buffer::zeroed(0),
+            blocks: Buffer::zeroed(0),
             bounds: Bounds::EMPTY,
             depth: 0,
             built_cost: 0.0,

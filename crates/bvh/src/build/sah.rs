@@ -5,19 +5,18 @@
 
 use super::kernels::{Bins, Grid, Kernels, Portable, SMALL, Split};
 use super::{EMPTY_HULL, Hull, Ref, union};
+use crate::buffer::Buffer;
 use crate::node::MAX_DEPTH;
 use rayon::prelude::*;
 
 /// A binary node: its hull, with `link` in lane 3 and the number of references in lane 7.
 #[repr(C, align(32))]
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, bytemuck::Zeroable)]
 pub(crate) struct Node2 {
     pub hull: Hull,
 }
 
 impl Node2 {
-    const UNSET: Self = Self { hull: [0.0; 8] };
-
     fn new(mut hull: Hull, link: usize, count: usize) -> Self {
         hull[3] = f32::from_bits(link as u32);
         hull[7] = f32::from_bits(count as u32);
@@ -37,7 +36,7 @@ impl Node2 {
 
 /// A binary tree over references; the references below a node are neighbours. Children come after their parents.
 pub(crate) struct Binary {
-    pub nodes: Vec<Node2>,
+    pub nodes: Buffer<Node2>,
     pub refs: Vec<Ref>,
 }
 
@@ -66,8 +65,8 @@ struct Range<'a> {
 
 pub(crate) fn build(mut refs: Vec<Ref>) -> Binary {
     let count = refs.len();
-    let mut nodes = vec![Node2::UNSET; 2 * count - 1];
-    let mut scratch = refs.clone();
+    let mut nodes = Buffer::<Node2>::zeroed(2 * count - 1);
+    let mut scratch = Buffer::zeroed(count);
     let (hull, centres) = hulls(&refs);
     let (root, below) = nodes.split_at_mut(1);
     let range = Range {

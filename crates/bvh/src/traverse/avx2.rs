@@ -1,6 +1,8 @@
 //! AVX2 and FMA: a node in six fused multiply-adds, a block in one pass.
 
-use super::{Edges, Found, Isa, Lanes, Query, SLACK, Scope, Slabs, entry_points, portable};
+use super::{
+    Edges, Found, Isa, Lanes, Query, Reciprocal, Scope, Slabs, Stack, entry_points, portable,
+};
 use crate::accel::Accel;
 use crate::filter::HitFilter;
 use crate::node::{Block, Child, LANES, Node, Tree, WIDTH};
@@ -10,14 +12,15 @@ use std::arch::x86_64::*;
 pub(crate) struct Avx2;
 
 impl Isa for Avx2 {
-    type Fast = FastSlabs;
-    type Careful = CarefulSlabs;
+    type Slabs = Avx2Slabs;
     type Thin = ThinEdges;
     type Tight = TightEdges;
 
     #[inline(always)]
     unsafe fn prefetch(tree: &Tree, child: Child) {
-        let (start, lines) = if child.is_leaf() {
+        let (start, lines) = if child.is_leaf() && child.is_instance() {
+            (tree.nodes.as_ptr().cast::<i8>(), 1)
+        } else if child.is_leaf() {
             (
                 tree.blocks
                     .as_ptr()
@@ -43,7 +46,8 @@ impl Isa for Avx2 {
 /// Offsets of the entering planes from the node's start, in floats; the leaving planes are 8 further or nearer.
 #[inline(always)]
 fn entering(negative: [bool; 3]) -> [usize; 3] {
-    std::array::from_fn(|axis| 2 * WIDTH * axis + WIDTH * usize::from(negative[axis]))
+    let offset = |axis: usize| 2 * WIDTH * axis + WIDTH * usize::from(negative[axis]);
+    [offset(0), offset(1), offset(2)]
 }
 
 /// Eight planes at an offset from [`entering`].
@@ -53,95 +57,184 @@ unsafe fn planes(node: &Node, offset: usize) -> __m256 {
     unsafe { _mm256_load_ps((&raw const node.planes).cast::<f32>().add(offset)) }
 }
 
-#[inline(always)]
-unsafe fn met(near: __m256, far: __m256, out: &mut [f32; WIDTH]) -> u32 {
-    // SAFETY: `out` has eight floats; the processor has AVX2, as promised by the caller.
-    unsafe {
-        _mm256_storeu_ps(out.as_mut_ptr(), near);
-        _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(near, far)) as u32
-    }
-}
-
-/// `plane * scale - shift`, one fused operation a plane.
-///
-/// Scale and shift are made a little smaller where the ray enters and larger where it leaves, by more than the rounding of
-/// the reciprocal, of `origin * reciprocal` and of the operation itself; so a box is never missed, at no cost a node.
-pub(crate) struct FastSlabs {
+/// `(origin - plane) * -reciprocal`: on this side so that the plane can be an operand in memory.
+pub(crate) struct Avx2Slabs {
+    origin: [__m256; 3],
     near_scale: [__m256; 3],
-    near_shift: [__m256; 3],
     far_scale: [__m256; 3],
-    far_shift: [__m256; 3],
     t_min: __m256,
     entering: [usize; 3],
 }
 
-impl Slabs for FastSlabs {
-    #[inline(always)]
-    unsafe fn new(ray: &Ray) -> Option<Self> {
-        let inverse = ray.direction.to_array().map(|d| 1.0 / d);
-        if !super::is_harmless(ray, inverse) {
-            return None;
+/// For each mask of lanes those lanes, the highest first.
+static LANES_OF: [u64; 256] = {
+    let mut table = [0; 256];
+    let mut mask = 0;
+    while mask < 256 {
+        let (mut lane, mut at) = (WIDTH, 0);
+        while lane > 0 {
+            lane -= 1;
+            if mask >> lane & 1 == 1 {
+                table[mask] |= (lane as u64) << (8 * at);
+                at += 1;
+            }
         }
-        let origin = ray.origin.to_array();
-        // SAFETY: the processor has AVX2, as promised by the caller.
-        let splat = |x: [f32; 3]| x.map(|x| unsafe { _mm256_set1_ps(x) });
-        let near_scale = inverse.map(|x| x * (1.0 - SLACK));
-        let far_scale = inverse.map(|x| x * (1.0 + SLACK));
-        let shift = |scale: [f32; 3], pad: f32| {
-            std::array::from_fn(|k| {
-                let x = origin[k] * scale[k];
-                x + x.abs() * pad
-            })
-        };
-        Some(Self {
-            near_scale: splat(near_scale),
-            near_shift: splat(shift(near_scale, SLACK)),
-            far_scale: splat(far_scale),
-            far_shift: splat(shift(far_scale, -SLACK)),
-            // SAFETY: as above.
-            t_min: unsafe { _mm256_set1_ps(ray.t_min) },
-            entering: entering(inverse.map(|x| x < 0.0)),
-        })
+        mask += 1;
     }
+    table
+};
 
+/// Sorts eight signed integers, the largest first: Batcher's bitonic network.
+#[inline(always)]
+unsafe fn sort_descending(v: __m256i) -> __m256i {
+    // SAFETY: the processor has AVX2, as promised by the caller.
+    unsafe {
+        macro_rules! exchange {
+            ($v:expr, $other:expr, $larger:literal) => {{
+                let (v, other) = ($v, $other);
+                _mm256_blend_epi32::<$larger>(
+                    _mm256_min_epi32(v, other),
+                    _mm256_max_epi32(v, other),
+                )
+            }};
+        }
+        let v = exchange!(v, _mm256_shuffle_epi32::<0b10_11_00_01>(v), 0b0101_0101);
+        let v = exchange!(v, _mm256_shuffle_epi32::<0b00_01_10_11>(v), 0b0011_0011);
+        let v = exchange!(v, _mm256_shuffle_epi32::<0b10_11_00_01>(v), 0b0101_0101);
+        let swapped = _mm256_permute4x64_epi64::<0b01_00_11_10>(v);
+        let v = exchange!(
+            v,
+            _mm256_shuffle_epi32::<0b00_01_10_11>(swapped),
+            0b0000_1111
+        );
+        let v = exchange!(v, _mm256_shuffle_epi32::<0b01_00_11_10>(v), 0b0011_0011);
+        exchange!(v, _mm256_shuffle_epi32::<0b10_11_00_01>(v), 0b0101_0101)
+    }
+}
+
+/// The smallest of eight unsigned integers.
+#[inline(always)]
+unsafe fn smallest(v: __m256i) -> u32 {
+    // SAFETY: the processor has AVX2, as promised by the caller.
+    unsafe {
+        let v = _mm_min_epu32(_mm256_castsi256_si128(v), _mm256_extracti128_si256::<1>(v));
+        let v = _mm_min_epu32(v, _mm_shuffle_epi32::<0b01_00_11_10>(v));
+        let v = _mm_min_epu32(v, _mm_shuffle_epi32::<0b10_11_00_01>(v));
+        _mm_cvtsi128_si32(v) as u32
+    }
+}
+
+impl Avx2Slabs {
+    /// Where the ray enters each box, and in which lanes it leaves it later.
     #[inline(always)]
-    unsafe fn test(&self, node: &Node, t_max: f32, out: &mut [f32; WIDTH]) -> u32 {
-        // SAFETY: the processor has AVX2 and FMA, as promised by the caller.
+    unsafe fn test(&self, node: &Node, t_max: f32) -> (__m256, __m256) {
+        // SAFETY: the processor has AVX2, as promised by the caller.
         unsafe {
             let near = |axis: usize| {
                 let planes = planes(node, self.entering[axis]);
-                _mm256_fmsub_ps(planes, self.near_scale[axis], self.near_shift[axis])
+                _mm256_mul_ps(
+                    _mm256_sub_ps(self.origin[axis], planes),
+                    self.near_scale[axis],
+                )
             };
             let far = |axis: usize| {
                 let planes = planes(node, self.entering[axis] ^ WIDTH);
-                _mm256_fmsub_ps(planes, self.far_scale[axis], self.far_shift[axis])
+                _mm256_mul_ps(
+                    _mm256_sub_ps(self.origin[axis], planes),
+                    self.far_scale[axis],
+                )
             };
+            // Of a NaN and a number these take the second operand: unknown distances drop out.
             let enter = _mm256_max_ps(
-                _mm256_max_ps(near(0), near(1)),
-                _mm256_max_ps(near(2), self.t_min),
+                near(0),
+                _mm256_max_ps(near(1), _mm256_max_ps(near(2), self.t_min)),
             );
-            let leave = _mm256_min_ps(
-                _mm256_min_ps(far(0), far(1)),
-                _mm256_min_ps(far(2), _mm256_set1_ps(t_max)),
-            );
-            met(enter, leave, out)
+            let end = _mm256_set1_ps(t_max);
+            let leave = _mm256_min_ps(far(0), _mm256_min_ps(far(1), _mm256_min_ps(far(2), end)));
+            (enter, _mm256_cmp_ps::<_CMP_LE_OQ>(enter, leave))
         }
     }
 }
 
-/// The test of [`portable::CarefulSlabs`], eight lanes at a time.
-pub(crate) struct CarefulSlabs(portable::CarefulSlabs);
-
-impl Slabs for CarefulSlabs {
-    unsafe fn new(ray: &Ray) -> Option<Self> {
-        // SAFETY: the portable test asks nothing of the processor.
-        unsafe { portable::CarefulSlabs::new(ray) }.map(Self)
+impl Slabs for Avx2Slabs {
+    #[inline(always)]
+    unsafe fn new(ray: &Ray) -> Self {
+        let reciprocal = Reciprocal::new(ray);
+        // SAFETY: the processor has AVX2, as promised by the caller.
+        let splat = |x: [f32; 3]| unsafe {
+            [
+                _mm256_set1_ps(x[0]),
+                _mm256_set1_ps(x[1]),
+                _mm256_set1_ps(x[2]),
+            ]
+        };
+        Self {
+            origin: splat(ray.origin.to_array()),
+            near_scale: splat([
+                -reciprocal.near[0],
+                -reciprocal.near[1],
+                -reciprocal.near[2],
+            ]),
+            far_scale: splat([-reciprocal.far[0], -reciprocal.far[1], -reciprocal.far[2]]),
+            // SAFETY: as above.
+            t_min: unsafe { _mm256_set1_ps(reciprocal.t_min) },
+            entering: entering(reciprocal.negative),
+        }
     }
 
     #[inline(always)]
-    unsafe fn test(&self, node: &Node, t_max: f32, near: &mut [f32; WIDTH]) -> u32 {
-        // SAFETY: the portable test asks nothing of the processor; compiled under AVX2 it becomes eight lanes.
-        unsafe { self.0.test(node, t_max, near) }
+    unsafe fn nearest(&self, node: &Node, t_max: f32, stack: &mut Stack) -> Child {
+        // SAFETY: the processor has AVX2 and there is room, as promised by the caller.
+        unsafe {
+            let (near, met) = self.test(node, t_max);
+            let mask = _mm256_movemask_ps(met) as u32;
+            if mask == 0 {
+                return stack.pop(t_max);
+            }
+            // Distances are not negative, so that their bits order as integers. The lowest three hold the lane; lanes that
+            // are not met become all ones: the largest unsigned number and the smallest signed one.
+            let lanes = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
+            let noise = _mm256_set1_epi32(super::NOISE as i32);
+            let keys =
+                _mm256_or_si256(_mm256_andnot_si256(noise, _mm256_castps_si256(near)), lanes);
+            let missed = _mm256_xor_si256(_mm256_castps_si256(met), _mm256_set1_epi32(-1));
+            let keys = _mm256_or_si256(keys, missed);
+            // All but the nearest wait; the nearest is written above them and not counted.
+            let sorted = sort_descending(keys);
+            let children = _mm256_load_si256(node.children.as_ptr().cast());
+            let sorted_children = _mm256_permutevar8x32_epi32(children, sorted);
+            let at = stack.waiting + 1;
+            _mm256_storeu_si256(stack.near.as_mut_ptr().add(at).cast(), sorted);
+            _mm256_storeu_si256(stack.children.as_mut_ptr().add(at).cast(), sorted_children);
+            stack.waiting += mask.count_ones() as usize - 1;
+            *node
+                .children
+                .get_unchecked((smallest(keys) & super::NOISE) as usize)
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn any(&self, node: &Node, t_max: f32, stack: &mut Stack) -> Child {
+        // SAFETY: the processor has AVX2 and there is room, as promised by the caller.
+        unsafe {
+            let (_, met) = self.test(node, t_max);
+            let mask = _mm256_movemask_ps(met) as u32;
+            let waiting = stack.waiting;
+            let from_stack = stack.children.get_unchecked(waiting).assume_init();
+            let first = (mask | 1 << (WIDTH - 1)).trailing_zeros() as usize;
+            let from_node = *node.children.get_unchecked(first);
+            let rest = mask & mask.wrapping_sub(1);
+            let lanes =
+                _mm256_cvtepu8_epi32(_mm_cvtsi64_si128(LANES_OF[rest as usize & 255] as i64));
+            let children = _mm256_load_si256(node.children.as_ptr().cast());
+            let children = _mm256_permutevar8x32_epi32(children, lanes);
+            let at = waiting + 1;
+            _mm256_storeu_si256(stack.children.as_mut_ptr().add(at).cast(), children);
+            stack.waiting = waiting
+                .wrapping_add(mask.count_ones() as usize)
+                .wrapping_sub(1);
+            std::hint::select_unpredictable(mask == 0, from_stack, from_node)
+        }
     }
 }
 
@@ -152,21 +245,29 @@ impl V3 {
     #[inline(always)]
     unsafe fn splat(v: glam::Vec3) -> Self {
         // SAFETY: the processor has AVX2, as promised by the caller.
-        Self(v.to_array().map(|x| unsafe { _mm_set1_ps(x) }))
+        Self(unsafe { [_mm_set1_ps(v.x), _mm_set1_ps(v.y), _mm_set1_ps(v.z)] })
     }
     #[inline(always)]
     unsafe fn load(corner: &[[f32; LANES]; 3]) -> Self {
         // SAFETY: each row has four floats.
-        Self(std::array::from_fn(|axis| unsafe {
-            _mm_loadu_ps(corner[axis].as_ptr())
-        }))
+        Self(unsafe {
+            [
+                _mm_loadu_ps(corner[0].as_ptr()),
+                _mm_loadu_ps(corner[1].as_ptr()),
+                _mm_loadu_ps(corner[2].as_ptr()),
+            ]
+        })
     }
     #[inline(always)]
     unsafe fn minus(self, o: Self) -> Self {
         // SAFETY: the processor has AVX2, as promised by the caller.
-        Self(std::array::from_fn(|k| unsafe {
-            _mm_sub_ps(self.0[k], o.0[k])
-        }))
+        Self(unsafe {
+            [
+                _mm_sub_ps(self.0[0], o.0[0]),
+                _mm_sub_ps(self.0[1], o.0[1]),
+                _mm_sub_ps(self.0[2], o.0[2]),
+            ]
+        })
     }
     #[inline(always)]
     unsafe fn cross(self, o: Self) -> Self {

@@ -74,7 +74,8 @@ pub(crate) struct Found {
 impl Found {
     pub fn nothing(ray: &Ray) -> Self {
         Self {
-            t: ray.t_max,
+            // An infinite end would meet boxes that a ray along an axis enters at infinity: never.
+            t: ray.t_max.min(f32::MAX),
             u: 0.0,
             v: 0.0,
             id: NO_TRIANGLE,
@@ -109,21 +110,150 @@ pub(crate) struct Lanes {
     pub v: [f32; LANES],
 }
 
-/// A ray prepared for testing eight boxes at a time.
-pub(crate) trait Slabs: Sized {
-    /// `None` if this kind of test cannot take the ray.
-    ///
-    /// # Safety
-    /// The processor has the features of the [`Isa`].
-    unsafe fn new(ray: &Ray) -> Option<Self>;
+/// Children that wait, the next on top, in two columns so that eight can be written at once.
+///
+/// At the bottom lies [`Child::NONE`] at distance 0, twice: popping it ends the walk, and there is still something on top.
+pub(crate) struct Stack {
+    /// Bits of the distance where the ray enters the box, the lowest three bits being noise.
+    near: [MaybeUninit<u32>; STACK],
+    children: [MaybeUninit<Child>; STACK],
+    /// Entries in use above the bottom.
+    waiting: usize,
+}
 
-    /// Which children the ray meets before `t_max`, and where it enters each.
-    ///
-    /// Conservative: no box is missed through rounding.
+/// Low bits of a distance on the stack that mean nothing.
+const NOISE: u32 = WIDTH as u32 - 1;
+
+impl Stack {
+    /// Puts the bottom in; in place, since a stack is too large to be moved for every ray.
+    #[inline(always)]
+    fn start(stack: &mut MaybeUninit<Self>) -> &mut Self {
+        let start = stack.as_mut_ptr();
+        // SAFETY: `waiting` is all that must be initialised before the stack is borrowed; the columns may be uninitialised.
+        let stack = unsafe {
+            (&raw mut (*start).waiting).write(1);
+            &mut *start
+        };
+        for bottom in 0..2 {
+            stack.near[bottom].write(0);
+            stack.children[bottom].write(Child::NONE);
+        }
+        stack
+    }
+
+    /// The nearest waiting child that begins before `t_max`.
     ///
     /// # Safety
+    /// Something waits, or the walk ends with the child that is returned.
+    #[inline(always)]
+    unsafe fn pop(&mut self, t_max: f32) -> Child {
+        loop {
+            // SAFETY: entries up to `waiting` were written, and the one at the bottom is never rejected.
+            unsafe {
+                let near = self.near.get_unchecked(self.waiting).assume_init();
+                let child = self.children.get_unchecked(self.waiting).assume_init();
+                self.waiting -= 1;
+                if f32::from_bits(near & !NOISE) <= t_max {
+                    return child;
+                }
+            }
+        }
+    }
+
+    /// What waits on top.
+    ///
+    /// # Safety
+    /// The walk has not ended.
+    #[inline(always)]
+    unsafe fn top(&self) -> Child {
+        // SAFETY: entries up to `waiting` were written.
+        unsafe { self.children.get_unchecked(self.waiting).assume_init() }
+    }
+
+    /// The next child, when distances are not kept.
+    ///
+    /// # Safety
+    /// As for [`Self::pop`].
+    #[inline(always)]
+    unsafe fn pop_any(&mut self) -> Child {
+        // SAFETY: entries up to `waiting` were written.
+        let child = unsafe { self.children.get_unchecked(self.waiting).assume_init() };
+        self.waiting -= 1;
+        child
+    }
+
+    /// # Safety
+    /// There is room.
+    #[inline(always)]
+    unsafe fn push(&mut self, near: u32, child: Child) {
+        self.waiting += 1;
+        // SAFETY: as promised by the caller.
+        unsafe {
+            self.near.get_unchecked_mut(self.waiting).write(near);
+            self.children.get_unchecked_mut(self.waiting).write(child);
+        }
+    }
+}
+
+/// A ray prepared for testing eight boxes at a time.
+///
+/// Subtracts, then multiplies: exact where the ray starts near a plane, whatever the direction; the leaving distances are
+/// enlarged by more than the rounding of the rest (Ize 2013, "Robust BVH ray traversal"). So no box is missed.
+pub(crate) trait Slabs: Sized {
+    /// # Safety
     /// The processor has the features of the [`Isa`].
-    unsafe fn test(&self, node: &Node, t_max: f32, near: &mut [f32; WIDTH]) -> u32;
+    unsafe fn new(ray: &Ray) -> Self;
+
+    /// The nearest child that the ray meets before `t_max`, the others go on the stack, the farthest first. If there is
+    /// none, the next from the stack.
+    ///
+    /// # Safety
+    /// The processor has the features of the [`Isa`]; the stack has room for all children.
+    unsafe fn nearest(&self, node: &Node, t_max: f32, stack: &mut Stack) -> Child;
+
+    /// Some child that the ray meets before `t_max`, the others go on the stack. If there is none, the next from the
+    /// stack. Distances are not kept.
+    ///
+    /// # Safety
+    /// The processor has the features of the [`Isa`]; the stack has room for all children.
+    unsafe fn any(&self, node: &Node, t_max: f32, stack: &mut Stack) -> Child;
+}
+
+/// What [`Slabs`] need to know of a ray.
+struct Reciprocal {
+    /// Per axis, to enter by.
+    near: [f32; 3],
+    /// Per axis, to leave by.
+    far: [f32; 3],
+    negative: [bool; 3],
+    t_min: f32,
+}
+
+impl Reciprocal {
+    #[inline(always)]
+    fn new(ray: &Ray) -> Self {
+        let d = ray.direction;
+        // A reciprocal that overflows is too large to enter by; that of zero is right to be infinite.
+        let near = |d: f32| {
+            if d == 0.0 {
+                1.0 / d
+            } else {
+                (1.0 / d).clamp(f32::MIN, f32::MAX)
+            }
+        };
+        let far = |d: f32| 1.0 / d * (1.0 + SLACK);
+        Self {
+            near: [near(d.x), near(d.y), near(d.z)],
+            far: [far(d.x), far(d.y), far(d.z)],
+            negative: [
+                d.x.is_sign_negative(),
+                d.y.is_sign_negative(),
+                d.z.is_sign_negative(),
+            ],
+            // Never minus zero: bits of distances are compared as integers.
+            t_min: ray.t_min.max(0.0) + 0.0,
+        }
+    }
 }
 
 /// A ray prepared for testing four triangles at a time.
@@ -144,10 +274,7 @@ pub(crate) trait Edges<const WATERTIGHT: bool>: Sized {
 /// # Safety
 /// Every function asks that the processor has the features of the implementor, and that the trees of the query are valid.
 pub(crate) trait Isa {
-    /// For rays whose reciprocal direction is harmless: nearly all.
-    type Fast: Slabs;
-    /// For any valid ray.
-    type Careful: Slabs;
+    type Slabs: Slabs;
     type Thin: Edges<false>;
     type Tight: Edges<true>;
 
@@ -160,12 +287,6 @@ pub(crate) trait Isa {
     unsafe fn enter<F: HitFilter, const ANY: bool>(
         query: &Query<F>,
         placed: u32,
-        found: &mut Found,
-    ) -> bool;
-    /// Traces a ray that [`Isa::Fast`] does not take.
-    unsafe fn careful<F: HitFilter, const ANY: bool>(
-        query: &Query<F>,
-        scope: &Scope,
         found: &mut Found,
     ) -> bool;
     /// Tests one block.
@@ -238,61 +359,26 @@ unsafe fn start<I: Isa, F: HitFilter, const ANY: bool, const TOP: bool>(
     scope: &Scope,
     found: &mut Found,
 ) -> bool {
-    if scope.tree.nodes.is_empty() {
+    if scope.tree.nodes.is_empty() || !is_valid(scope.ray) {
         return false;
     }
     // SAFETY: as promised by the caller.
     unsafe {
-        match I::Fast::new(scope.ray) {
-            Some(slabs) if query.accel.is_watertight() => {
-                let edges = I::Tight::new(scope.ray);
-                walk::<I, _, _, F, ANY, TOP, true>(query, scope, &slabs, &edges, found)
-            }
-            Some(slabs) => {
-                let edges = I::Thin::new(scope.ray);
-                walk::<I, _, _, F, ANY, TOP, false>(query, scope, &slabs, &edges, found)
-            }
-            None => I::careful::<F, ANY>(query, scope, found),
-        }
-    }
-}
-
-/// [`Isa::careful`], to be compiled under the features of `I`.
-#[inline(always)]
-unsafe fn careful<I: Isa, F: HitFilter, const ANY: bool>(
-    query: &Query<F>,
-    scope: &Scope,
-    found: &mut Found,
-) -> bool {
-    if !is_valid(scope.ray) {
-        return false;
-    }
-    // SAFETY: as promised by the caller.
-    unsafe {
-        let Some(slabs) = I::Careful::new(scope.ray) else {
-            return false;
-        };
+        let slabs = I::Slabs::new(scope.ray);
         if query.accel.is_watertight() {
             let edges = I::Tight::new(scope.ray);
-            walk::<I, _, _, F, ANY, true, true>(query, scope, &slabs, &edges, found)
+            walk::<I, _, F, ANY, TOP, true>(query, scope, &slabs, &edges, found)
         } else {
             let edges = I::Thin::new(scope.ray);
-            walk::<I, _, _, F, ANY, true, false>(query, scope, &slabs, &edges, found)
+            walk::<I, _, F, ANY, TOP, false>(query, scope, &slabs, &edges, found)
         }
     }
 }
 
-/// A child that waits, and where the ray enters its box. Ordered by the entry, which is never negative.
-#[inline(always)]
-fn entry(near: f32, child: Child) -> u64 {
-    u64::from(near.to_bits()) << 32 | u64::from(child.0)
-}
-
-/// Nearest child first, with the others on a stack. Returns whether something was hit; with `ANY` at the first such.
+/// Visits nodes until nothing waits. Returns whether something was hit; with `ANY` at the first such.
 #[inline(always)]
 unsafe fn walk<
     I: Isa,
-    S: Slabs,
     E: Edges<WATERTIGHT>,
     F: HitFilter,
     const ANY: bool,
@@ -301,75 +387,34 @@ unsafe fn walk<
 >(
     query: &Query<F>,
     scope: &Scope,
-    slabs: &S,
+    slabs: &I::Slabs,
     edges: &E,
     found: &mut Found,
 ) -> bool {
     let tree = scope.tree;
     let (nodes, blocks) = (tree.nodes.as_ptr(), tree.blocks.as_ptr());
-    let mut stack = MaybeUninit::<[u64; STACK]>::uninit();
-    let stack = stack.as_mut_ptr().cast::<u64>();
-    let mut waiting = 0;
+    let mut stack = MaybeUninit::uninit();
+    let stack = Stack::start(&mut stack);
     let mut current = Child::node(0);
     let mut any = false;
     // SAFETY: the tree is valid: a child that is met names a node, blocks or an instance that exist, and no way down is
-    // longer than MAX_DEPTH, so that at most STACK children wait. An unused child is never met: its box is empty.
+    // longer than MAX_DEPTH, so that STACK suffices. An unused child is never met: its box is empty.
     unsafe {
         loop {
             while !current.is_leaf() {
                 let node = &*nodes.add(current.0 as usize);
-                let mut near = [0.0; WIDTH];
-                let mut met = slabs.test(node, found.t, &mut near);
-                if met == 0 {
-                    match pop(stack, &mut waiting, found.t) {
-                        Some(next) => current = next,
-                        None => return any,
-                    }
-                    continue;
-                }
-                let take = |met: &mut u32| {
-                    let lane = met.trailing_zeros() as usize;
-                    *met &= *met - 1;
-                    entry(
-                        *near.get_unchecked(lane),
-                        *node.children.get_unchecked(lane),
-                    )
+                current = if ANY {
+                    slabs.any(node, found.t, stack)
+                } else {
+                    slabs.nearest(node, found.t, stack)
                 };
-                let a = take(&mut met);
-                if met == 0 {
-                    current = Child(a as u32);
-                    continue;
-                }
-                let b = take(&mut met);
-                let (close, far) = if a < b { (a, b) } else { (b, a) };
-                if met == 0 {
-                    *stack.add(waiting) = far;
-                    waiting += 1;
-                    I::prefetch(tree, Child(far as u32));
-                    current = Child(close as u32);
-                    continue;
-                }
-                // Three or more: insertion sort on the stack, the nearest on top.
-                let base = waiting;
-                *stack.add(waiting) = far;
-                *stack.add(waiting + 1) = close;
-                waiting += 2;
-                while met != 0 {
-                    let next = take(&mut met);
-                    let mut at = waiting;
-                    while at > base && *stack.add(at - 1) < next {
-                        *stack.add(at) = *stack.add(at - 1);
-                        at -= 1;
-                    }
-                    *stack.add(at) = next;
-                    waiting += 1;
-                }
-                waiting -= 1;
-                current = Child(*stack.add(waiting) as u32);
-                I::prefetch(tree, Child(*stack.add(waiting - 1) as u32));
+                I::prefetch(tree, stack.top());
             }
-            if TOP && current.is_instance() {
-                if I::enter::<F, ANY>(query, current.index() as u32, found) {
+            if current.is_instance() {
+                if current == Child::NONE {
+                    return any;
+                }
+                if TOP && I::enter::<F, ANY>(query, current.index() as u32, found) {
                     any = true;
                     if ANY {
                         return true;
@@ -390,26 +435,11 @@ unsafe fn walk<
                     }
                 }
             }
-            match pop(stack, &mut waiting, found.t) {
-                Some(next) => current = next,
-                None => return any,
-            }
-        }
-    }
-}
-
-/// The nearest waiting child that begins before `t_max`.
-#[inline(always)]
-unsafe fn pop(stack: *mut u64, waiting: &mut usize, t_max: f32) -> Option<Child> {
-    loop {
-        if *waiting == 0 {
-            return None;
-        }
-        *waiting -= 1;
-        // SAFETY: entries below `waiting` were written.
-        let entry = unsafe { *stack.add(*waiting) };
-        if f32::from_bits((entry >> 32) as u32) <= t_max {
-            return Some(Child(entry as u32));
+            current = if ANY {
+                stack.pop_any()
+            } else {
+                stack.pop(found.t)
+            };
         }
     }
 }
@@ -526,12 +556,6 @@ macro_rules! entry_points {
             // SAFETY: as promised by the caller.
             unsafe { super::enter::<Self, F, ANY>(query, placed, found) }
         }
-        #[cold]
-        $(#[target_feature(enable = $feature)])?
-        unsafe fn careful<F: HitFilter, const ANY: bool>(query: &Query<F>, scope: &Scope, found: &mut Found) -> bool {
-            // SAFETY: as promised by the caller.
-            unsafe { super::careful::<Self, F, ANY>(query, scope, found) }
-        }
         $(#[target_feature(enable = $feature)])?
         unsafe fn block<F: HitFilter>(query: &Query<F>, scope: &Scope, block: u32) -> bool {
             // SAFETY: as promised by the caller.
@@ -553,20 +577,3 @@ pub(crate) use entry_points;
 
 /// Relative bound on the rounding errors of a slab distance, with room to spare: eight units in the last place.
 const SLACK: f32 = 4.0 / (1 << 23) as f32;
-/// Reciprocal directions between its reciprocal and this are harmless.
-const HARMLESS: f32 = 1.0e30;
-
-/// Can [`Isa::Fast`] take this ray? `inverse` is its reciprocal direction.
-#[inline(always)]
-fn is_harmless(ray: &Ray, inverse: [f32; 3]) -> bool {
-    let harmless = |x: f32| x.abs() <= HARMLESS;
-    let in_range = |x: f32| harmless(x) && x.abs() >= 1.0 / HARMLESS;
-    in_range(inverse[0])
-        && in_range(inverse[1])
-        && in_range(inverse[2])
-        && harmless(ray.origin.x * inverse[0])
-        && harmless(ray.origin.y * inverse[1])
-        && harmless(ray.origin.z * inverse[2])
-        && ray.t_min >= 0.0
-        && ray.t_min < ray.t_max
-}

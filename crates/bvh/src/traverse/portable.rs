@@ -1,6 +1,6 @@
 //! Plain Rust, for any processor. The compiler vectorises what it can.
 
-use super::{Edges, Found, Isa, Lanes, Query, SLACK, Scope, Slabs, entry_points};
+use super::{Edges, Found, Isa, Lanes, Query, Reciprocal, Scope, Slabs, Stack, entry_points};
 use crate::accel::Accel;
 use crate::filter::HitFilter;
 use crate::node::{Block, Child, LANES, Node, Tree, WIDTH};
@@ -10,8 +10,7 @@ use occlude_visibility::{Hit, Ray};
 pub(crate) struct Portable;
 
 impl Isa for Portable {
-    type Fast = CarefulSlabs;
-    type Careful = CarefulSlabs;
+    type Slabs = PortableSlabs;
     type Thin = ThinEdges;
     type Tight = TightEdges;
 
@@ -30,66 +29,85 @@ fn min(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
 }
 
-/// Subtract, then multiply: exact where the ray starts near a plane, whatever the direction (Ize 2013).
-pub(crate) struct CarefulSlabs {
+pub(crate) struct PortableSlabs {
     origin: [f32; 3],
-    near_scale: [f32; 3],
-    far_scale: [f32; 3],
-    negative: [usize; 3],
-    t_min: f32,
+    reciprocal: Reciprocal,
 }
 
-impl Slabs for CarefulSlabs {
+impl PortableSlabs {
+    /// Which children are met, and where.
     #[inline(always)]
-    unsafe fn new(ray: &Ray) -> Option<Self> {
-        if !super::is_valid(ray) {
-            return None;
-        }
-        let direction = ray.direction.to_array();
-        let inverse = direction.map(|d| 1.0 / d);
-        Some(Self {
-            origin: ray.origin.to_array(),
-            // A reciprocal that overflows is too large to enter by and too small to leave by.
-            near_scale: std::array::from_fn(|k| {
-                if direction[k] == 0.0 {
-                    inverse[k]
-                } else {
-                    inverse[k].clamp(f32::MIN, f32::MAX)
-                }
-            }),
-            far_scale: inverse.map(|x| x * (1.0 + SLACK)),
-            negative: inverse.map(|x| usize::from(x.is_sign_negative())),
-            t_min: ray.t_min.max(0.0),
-        })
-    }
-
-    #[inline(always)]
-    unsafe fn test(&self, node: &Node, t_max: f32, near: &mut [f32; WIDTH]) -> u32 {
-        let t_max = min(t_max, f32::MAX);
+    fn test(&self, node: &Node, t_max: f32) -> (u32, [f32; WIDTH]) {
         let mut far = [t_max; WIDTH];
-        *near = [self.t_min; WIDTH];
+        let mut near = [self.reciprocal.t_min; WIDTH];
         for axis in 0..3 {
-            let planes = &node.planes[axis];
+            let negative = usize::from(self.reciprocal.negative[axis]);
             let (enter, leave) = (
-                &planes[self.negative[axis]],
-                &planes[1 - self.negative[axis]],
+                &node.planes[axis][negative],
+                &node.planes[axis][1 - negative],
             );
             for lane in 0..WIDTH {
-                near[lane] = max(
-                    (enter[lane] - self.origin[axis]) * self.near_scale[axis],
-                    near[lane],
+                let (to_enter, to_leave) = (
+                    enter[lane] - self.origin[axis],
+                    leave[lane] - self.origin[axis],
                 );
-                far[lane] = min(
-                    (leave[lane] - self.origin[axis]) * self.far_scale[axis],
-                    far[lane],
-                );
+                near[lane] = max(to_enter * self.reciprocal.near[axis], near[lane]);
+                far[lane] = min(to_leave * self.reciprocal.far[axis], far[lane]);
             }
         }
         let mut mask = 0;
         for lane in 0..WIDTH {
             mask |= u32::from(near[lane] <= far[lane]) << lane;
         }
-        mask
+        (mask, near)
+    }
+}
+
+impl Slabs for PortableSlabs {
+    #[inline(always)]
+    unsafe fn new(ray: &Ray) -> Self {
+        Self {
+            origin: ray.origin.to_array(),
+            reciprocal: Reciprocal::new(ray),
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn nearest(&self, node: &Node, t_max: f32, stack: &mut Stack) -> Child {
+        let (mut met, near) = self.test(node, t_max);
+        let base = stack.waiting;
+        while met != 0 {
+            let lane = met.trailing_zeros() as usize;
+            met &= met - 1;
+            // SAFETY: there is room, as promised by the caller; entries above `base` were written here.
+            unsafe {
+                stack.push(near[lane].to_bits(), node.children[lane]);
+                // Insertion: the nearest on top.
+                let mut at = stack.waiting;
+                while at > base + 1
+                    && stack.near[at - 1].assume_init() < stack.near[at].assume_init()
+                {
+                    stack.near.swap(at - 1, at);
+                    stack.children.swap(at - 1, at);
+                    at -= 1;
+                }
+            }
+        }
+        // SAFETY: the bottom is there.
+        unsafe { stack.pop(t_max) }
+    }
+
+    #[inline(always)]
+    unsafe fn any(&self, node: &Node, t_max: f32, stack: &mut Stack) -> Child {
+        let (met, _) = self.test(node, t_max);
+        for lane in (0..WIDTH).rev() {
+            if met >> lane & 1 == 1 {
+                // SAFETY: there is room, as promised by the caller.
+                unsafe { stack.push(0, node.children[lane]) };
+            }
+        }
+        // SAFETY: the bottom is there.
+        unsafe { stack.pop_any() }
     }
 }
 

@@ -1,0 +1,229 @@
+//! What all suites share: the machine, the clock, results and the report.
+
+use serde::Serialize;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// What was asked for on the command line.
+pub struct Setting {
+    pub quick: bool,
+    pub scenes: PathBuf,
+    pub only: Vec<String>,
+}
+
+impl Setting {
+    /// Is this scene wanted?
+    pub fn wants(&self, scene: &str) -> bool {
+        self.only.is_empty() || self.only.iter().any(|name| name == scene)
+    }
+}
+
+/// One measured number.
+#[derive(Clone, Debug, Serialize)]
+pub struct Row {
+    pub name: String,
+    pub scene: String,
+    pub value: f64,
+    pub unit: String,
+    /// The other side's number; `null` without one.
+    pub baseline: Option<f64>,
+    /// Ours against the baseline, above 1 is better for rates, below 1 for costs.
+    pub ratio: Option<f64>,
+    /// (Largest - smallest) / median over the repetitions.
+    pub spread: Option<f64>,
+    /// What was to be reached, in words such as `>= 1.15`.
+    pub bar: Option<String>,
+    /// Was it?
+    pub holds: Option<bool>,
+}
+
+/// Everything that a suite found out.
+pub struct Report {
+    title: String,
+    rows: Vec<Row>,
+    notes: Vec<String>,
+    csv: String,
+}
+
+impl Report {
+    pub fn new(title: &str, csv_header: &str) -> Self {
+        Self {
+            title: title.into(),
+            rows: Vec::new(),
+            notes: Vec::new(),
+            csv: format!("{csv_header}\n"),
+        }
+    }
+
+    pub fn row(&mut self, row: Row) {
+        self.rows.push(row);
+    }
+
+    /// A remark for the reader, shown at once too.
+    pub fn note(&mut self, text: impl Into<String>) {
+        let text = text.into();
+        eprintln!("{text}");
+        self.notes.push(text);
+    }
+
+    pub fn raw(&mut self, line: &str) {
+        self.csv.push_str(line);
+        self.csv.push('\n');
+    }
+
+    pub fn text(&self) -> String {
+        let mut out = String::new();
+        for row in &self.rows {
+            let _ = write!(
+                out,
+                "{:<34} {:<16} {:>10.4} {:<14}",
+                row.name, row.scene, row.value, row.unit
+            );
+            if let (Some(baseline), Some(ratio)) = (row.baseline, row.ratio) {
+                let _ = write!(out, " against {baseline:>9.4}: {ratio:.3}");
+            }
+            if let Some(spread) = row.spread {
+                let _ = write!(out, " (spread {spread:.2})");
+            }
+            if let (Some(bar), Some(holds)) = (&row.bar, row.holds) {
+                let _ = write!(out, "  {bar} {}", if holds { "HOLDS" } else { "MISSED" });
+            }
+            out.push('\n');
+        }
+        out
+    }
+
+    pub fn write(&self, folder: &Path) -> std::io::Result<()> {
+        std::fs::create_dir_all(folder)?;
+        let json = serde_json::to_string_pretty(&self.rows).map_err(std::io::Error::other)?;
+        std::fs::write(folder.join("results.json"), json + "\n")?;
+        std::fs::write(folder.join("raw.csv"), &self.csv)?;
+        std::fs::write(folder.join("report.html"), self.html())
+    }
+
+    fn html(&self) -> String {
+        let mut out = format!(
+            "<!doctype html><meta charset=utf-8><title>{0}</title>\
+             <style>body{{font:15px sans-serif;margin:2em;max-width:75em}}td,th{{padding:.2em .8em;text-align:right}}\
+             td:nth-child(-n+2),th:nth-child(-n+2){{text-align:left}}tr:nth-child(even){{background:#f3f3f3}}\
+             .yes{{color:#070}}.no{{color:#b00;font-weight:bold}}pre{{white-space:pre-wrap}}</style><h1>{0}</h1><pre>{1}</pre>",
+            escape(&self.title),
+            escape(&machine()),
+        );
+        out.push_str("<table><tr><th>what<th>scene<th>value<th>unit<th>baseline<th>ratio<th>spread<th>bar<th>holds</tr>\n");
+        let number = |x: Option<f64>| x.map_or_else(String::new, |x| format!("{x:.4}"));
+        for row in &self.rows {
+            let holds = match row.holds {
+                Some(true) => "<span class=yes>yes</span>",
+                Some(false) => "<span class=no>no</span>",
+                None => "",
+            };
+            let _ = writeln!(
+                out,
+                "<tr><td>{}<td>{}<td>{:.4}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{holds}</tr>",
+                escape(&row.name),
+                escape(&row.scene),
+                row.value,
+                escape(&row.unit),
+                number(row.baseline),
+                number(row.ratio),
+                number(row.spread),
+                escape(row.bar.as_deref().unwrap_or_default()),
+            );
+        }
+        out.push_str("</table>\n<ul>");
+        for note in &self.notes {
+            let _ = writeln!(out, "<li>{}", escape(note));
+        }
+        out.push_str("</ul>\n");
+        out
+    }
+}
+
+fn escape(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;")
+}
+
+fn first_line(command: &str, arguments: &[&str]) -> String {
+    Command::new(command)
+        .args(arguments)
+        .output()
+        .ok()
+        .and_then(|o| {
+            Some(
+                String::from_utf8_lossy(&o.stdout)
+                    .lines()
+                    .next()?
+                    .to_owned(),
+            )
+        })
+        .unwrap_or_else(|| "unknown".into())
+}
+
+/// Processor, cores, memory, system, compiler and commit.
+pub fn machine() -> String {
+    let read = |path: &str, key: &str| {
+        std::fs::read_to_string(path)
+            .ok()
+            .and_then(|text| {
+                let line = text.lines().find(|l| l.starts_with(key))?;
+                Some(line.split_once(':')?.1.trim().to_owned())
+            })
+            .unwrap_or_else(|| "unknown".into())
+    };
+    format!(
+        "processor: {} (family {}, model {}), {} threads\nmemory: {}\nsystem: {}\ncompiler: {}\ncommit: {}\n",
+        read("/proc/cpuinfo", "model name"),
+        read("/proc/cpuinfo", "cpu family"),
+        read("/proc/cpuinfo", "model\t"),
+        std::thread::available_parallelism().map_or(0, usize::from),
+        read("/proc/meminfo", "MemTotal"),
+        first_line("uname", &["-sr"]),
+        first_line("rustc", &["--version"]),
+        first_line("git", &["describe", "--always", "--dirty"]),
+    )
+}
+
+fn clock(which: libc::clockid_t) -> f64 {
+    let mut time = libc::timespec {
+        tv_sec: 0,
+        tv_nsec: 0,
+    };
+    // SAFETY: `time` is a valid place to write to; both clocks exist on every system that this crate builds for.
+    unsafe { libc::clock_gettime(which, &mut time) };
+    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
+}
+
+/// Processor seconds of this thread: what other programs take away does not count.
+pub fn thread_seconds() -> f64 {
+    clock(libc::CLOCK_THREAD_CPUTIME_ID)
+}
+
+/// Processor seconds of all threads of this process.
+pub fn process_seconds() -> f64 {
+    clock(libc::CLOCK_PROCESS_CPUTIME_ID)
+}
+
+/// The middle value and the spread (largest - smallest) / median.
+pub fn median(values: &[f64]) -> (f64, f64) {
+    let mut v = values.to_vec();
+    v.sort_by(f64::total_cmp);
+    let n = v.len();
+    let middle = if n % 2 == 1 {
+        v[n / 2]
+    } else {
+        0.5 * (v[n / 2 - 1] + v[n / 2])
+    };
+    (middle, (v[n - 1] - v[0]) / middle)
+}
+
+/// The geometric mean.
+pub fn geometric_mean(values: impl IntoIterator<Item = f64>) -> f64 {
+    let (mut sum, mut n) = (0.0, 0);
+    for v in values {
+        sum += v.ln();
+        n += 1;
+    }
+    (sum / f64::from(n.max(1))).exp()
+}
