@@ -75,7 +75,6 @@ const FORMAT_FLOAT3: u32 = 0x9003;
 const SCENE_FLAG_ROBUST: u32 = 1 << 2;
 const RAY_QUERY_COHERENT: u32 = 1 << 16;
 const FEATURES_ALL: u32 = u32::MAX;
-const DEVICE_PROPERTY_VERSION: u32 = 0;
 
 /// `RTCBuildQuality`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -101,7 +100,6 @@ pub struct EmbreeScene {
     pub bytes: isize,
     /// Processor seconds of the commit, all threads.
     pub build_seconds: f64,
-    pub version: isize,
 }
 
 // SAFETY: Embree's queries may be called from any thread at once; the handles are only released when the scene is dropped.
@@ -212,7 +210,6 @@ impl Embree {
                 release_device: self.function("rtcReleaseDevice"),
                 bytes: memory.load(Ordering::Relaxed),
                 build_seconds,
-                version: property(device, DEVICE_PROPERTY_VERSION),
             }
         }
     }

@@ -2,7 +2,7 @@
 
 use crate::common::Setting;
 use glam::Vec3;
-use occlude_scene::{Pose, Projection, Scene};
+use occlude_scene::{Pose, Projection, Scene, procedural};
 
 /// All triangles in world space, and a camera.
 pub struct Soup {
@@ -17,6 +17,10 @@ pub struct Soup {
 
 /// Loads a scene file; the first camera looks, or one from outside if there is none.
 pub fn load(setting: &Setting, name: &str) -> Result<Soup, String> {
+    if name == "courtyard" {
+        let scene = procedural::build(procedural::Name::Courtyard, None, 0);
+        return Ok(flatten(name, &scene));
+    }
     let path = setting.scenes.join(format!("{name}.glb"));
     if !path.exists() {
         return Err(format!("{} is not there", path.display()));

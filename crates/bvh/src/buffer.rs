@@ -33,10 +33,10 @@ impl<T: Zeroable + Copy> Buffer<T> {
     /// So many zeros.
     pub fn zeroed(len: usize) -> Self {
         #[cfg(unix)]
-        if len.saturating_mul(size_of::<T>()) >= HUGE_PAGE {
-            if let Some(buffer) = Self::mapped(len) {
-                return buffer;
-            }
+        if len.saturating_mul(size_of::<T>()) >= HUGE_PAGE
+            && let Some(buffer) = Self::mapped(len)
+        {
+            return buffer;
         }
         let mut heap = vec![T::zeroed(); len];
         let start = NonNull::new(heap.as_mut_ptr()).unwrap_or(NonNull::dangling());

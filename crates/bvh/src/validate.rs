@@ -26,6 +26,23 @@ impl Accel {
         Ok(())
     }
 
+    /// A number that depends on every node and triangle: equal for equal structures.
+    pub fn digest(&self) -> u64 {
+        // FNV-1a over words.
+        let mut digest = 0xcbf2_9ce4_8422_2325u64;
+        let mut eat = |bytes: &[u8]| {
+            for word in bytes.chunks_exact(4) {
+                let word = u32::from_le_bytes([word[0], word[1], word[2], word[3]]);
+                digest = (digest ^ u64::from(word)).wrapping_mul(0x0000_0100_0000_01b3);
+            }
+        };
+        for tree in std::iter::once(&self.top).chain(&self.trees) {
+            eat(bytemuck::cast_slice(&tree.nodes));
+            eat(bytemuck::cast_slice(&tree.blocks));
+        }
+        digest
+    }
+
     fn check_tree(&self, tree: &Tree, placed_seen: &mut [u32]) -> Result<(), String> {
         if tree.nodes.is_empty() {
             return if tree.blocks.is_empty() {

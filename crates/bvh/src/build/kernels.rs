@@ -1,7 +1,9 @@
 //! The builder's inner loops, compiled once for AVX2 and once for any processor from the same text.
 
-use super::{EMPTY_HULL, Hull, Ref, half_area, union};
+use super::{EMPTY_HULL, Hull, Ref, half_area, union as portable_union};
 use crate::node::LANES;
+#[cfg(target_arch = "x86_64")]
+use std::arch::x86_64::*;
 
 /// Most bins an axis.
 pub(super) const BINS: usize = 16;
@@ -81,7 +83,8 @@ impl Bins {
     pub fn merge(mut self, other: &Self) -> Self {
         for axis in 0..3 {
             for bin in 0..BINS {
-                self.hulls[axis][bin] = union(&self.hulls[axis][bin], &other.hulls[axis][bin]);
+                self.hulls[axis][bin] =
+                    portable_union(&self.hulls[axis][bin], &other.hulls[axis][bin]);
                 self.counts[axis][bin] += other.counts[axis][bin];
             }
         }
@@ -109,6 +112,13 @@ fn blocks(count: usize) -> f32 {
     count.div_ceil(LANES) as f32
 }
 
+/// What the inner loops do to single references. Every kind gives the same results.
+pub(super) trait Arithmetic {
+    fn union(a: &Hull, b: &Hull) -> Hull;
+    fn bins_of(grid: &Grid, hull: &Hull) -> [usize; 3];
+    fn centre(hull: &Hull) -> Hull;
+}
+
 /// The inner loops for one kind of processor.
 ///
 /// # Safety
@@ -122,19 +132,20 @@ pub(super) trait Kernels {
 }
 
 #[inline(always)]
-fn bin(refs: &[Ref], grid: &Grid, bins: &mut Bins) {
+fn bin<A: Arithmetic>(refs: &[Ref], grid: &Grid, bins: &mut Bins) {
     for r in refs {
-        let index = grid.bins_of(&r.hull);
+        let index = A::bins_of(grid, &r.hull);
         for (axis, bin) in index.into_iter().enumerate() {
+            let bin = bin % BINS;
             let hull = &mut bins.hulls[axis][bin];
-            *hull = union(hull, &r.hull);
+            *hull = A::union(hull, &r.hull);
             bins.counts[axis][bin] += 1;
         }
     }
 }
 
 #[inline(always)]
-fn choose(bins: &Bins, grid: &Grid) -> Option<Plane> {
+fn choose<A: Arithmetic>(bins: &Bins, grid: &Grid) -> Option<Plane> {
     let mut best = f32::INFINITY;
     let mut found = None;
     for axis in 0..3 {
@@ -144,7 +155,7 @@ fn choose(bins: &Bins, grid: &Grid) -> Option<Plane> {
         let mut right_cost = [f32::INFINITY; BINS];
         let (mut hull, mut count) = (EMPTY_HULL, 0);
         for bin in (1..grid.bins).rev() {
-            hull = union(&hull, &bins.hulls[axis][bin]);
+            hull = A::union(&hull, &bins.hulls[axis][bin]);
             count += bins.counts[axis][bin] as usize;
             if count > 0 {
                 right_cost[bin] = half_area(&hull) * blocks(count);
@@ -152,7 +163,7 @@ fn choose(bins: &Bins, grid: &Grid) -> Option<Plane> {
         }
         let (mut hull, mut count) = (EMPTY_HULL, 0);
         for (bin, right_cost) in right_cost.iter().enumerate().take(grid.bins).skip(1) {
-            hull = union(&hull, &bins.hulls[axis][bin - 1]);
+            hull = A::union(&hull, &bins.hulls[axis][bin - 1]);
             count += bins.counts[axis][bin - 1] as usize;
             if count > 0 {
                 let cost = half_area(&hull) * blocks(count) + right_cost;
@@ -167,7 +178,7 @@ fn choose(bins: &Bins, grid: &Grid) -> Option<Plane> {
         let side = |range: std::ops::Range<usize>| {
             bins.hulls[axis][range]
                 .iter()
-                .fold(EMPTY_HULL, |a, b| union(&a, b))
+                .fold(EMPTY_HULL, |a, b| portable_union(&a, b))
         };
         Plane {
             axis,
@@ -178,7 +189,12 @@ fn choose(bins: &Bins, grid: &Grid) -> Option<Plane> {
 }
 
 #[inline(always)]
-fn partition(refs: &mut [Ref], scratch: &mut [Ref], grid: &Grid, plane: &Plane) -> Split {
+fn partition<A: Arithmetic>(
+    refs: &mut [Ref],
+    scratch: &mut [Ref],
+    grid: &Grid,
+    plane: &Plane,
+) -> Split {
     let mut centres = [EMPTY_HULL; 2];
     let (mut left, mut right) = (0, 0);
     for i in 0..refs.len() {
@@ -189,9 +205,9 @@ fn partition(refs: &mut [Ref], scratch: &mut [Ref], grid: &Grid, plane: &Plane) 
         scratch[right] = r;
         left += usize::from(!goes_right);
         right += usize::from(goes_right);
-        let c = centre(&r.hull);
+        let c = A::centre(&r.hull);
         let side = &mut centres[usize::from(goes_right)];
-        *side = union(side, &c);
+        *side = A::union(side, &c);
     }
     refs[left..].copy_from_slice(&scratch[..right]);
     Split {
@@ -203,7 +219,7 @@ fn partition(refs: &mut [Ref], scratch: &mut [Ref], grid: &Grid, plane: &Plane) 
 
 /// All splits along all axes of at most [`SMALL`] references; leaves them in the order of the best axis.
 #[inline(always)]
-fn sweep(refs: &mut [Ref]) -> Option<Split> {
+fn sweep<A: Arithmetic>(refs: &mut [Ref]) -> Option<Split> {
     let n = refs.len();
     debug_assert!((2..=SMALL).contains(&n));
     let mut best = f32::INFINITY;
@@ -224,11 +240,11 @@ fn sweep(refs: &mut [Ref]) -> Option<Split> {
         }
         let mut right = [EMPTY_HULL; SMALL + 1];
         for i in (1..n).rev() {
-            right[i] = union(&right[i + 1], &refs[order[i] as usize].hull);
+            right[i] = A::union(&right[i + 1], &refs[order[i] as usize].hull);
         }
         let mut left = EMPTY_HULL;
         for i in 1..n {
-            left = union(&left, &refs[order[i - 1] as usize].hull);
+            left = A::union(&left, &refs[order[i - 1] as usize].hull);
             let cost = half_area(&left) * blocks(i) + half_area(&right[i]) * blocks(n - i);
             if cost < best {
                 best = cost;
@@ -252,12 +268,27 @@ fn sweep(refs: &mut [Ref]) -> Option<Split> {
 /// For any processor.
 pub(super) struct Portable;
 
+impl Arithmetic for Portable {
+    #[inline(always)]
+    fn union(a: &Hull, b: &Hull) -> Hull {
+        portable_union(a, b)
+    }
+    #[inline(always)]
+    fn bins_of(grid: &Grid, hull: &Hull) -> [usize; 3] {
+        grid.bins_of(hull)
+    }
+    #[inline(always)]
+    fn centre(hull: &Hull) -> Hull {
+        centre(hull)
+    }
+}
+
 impl Kernels for Portable {
     unsafe fn bin(refs: &[Ref], grid: &Grid, bins: &mut Bins) {
-        bin(refs, grid, bins)
+        bin::<Self>(refs, grid, bins)
     }
     unsafe fn choose(bins: &Bins, grid: &Grid) -> Option<Plane> {
-        choose(bins, grid)
+        choose::<Self>(bins, grid)
     }
     unsafe fn partition(
         refs: &mut [Ref],
@@ -265,10 +296,10 @@ impl Kernels for Portable {
         grid: &Grid,
         plane: &Plane,
     ) -> Split {
-        partition(refs, scratch, grid, plane)
+        partition::<Self>(refs, scratch, grid, plane)
     }
     unsafe fn sweep(refs: &mut [Ref]) -> Option<Split> {
-        sweep(refs)
+        sweep::<Self>(refs)
     }
 }
 
@@ -277,14 +308,64 @@ impl Kernels for Portable {
 pub(super) struct Avx2;
 
 #[cfg(target_arch = "x86_64")]
+impl Avx2 {
+    #[inline(always)]
+    fn load(hull: &Hull) -> __m256 {
+        // SAFETY: a hull has eight floats; only the kernels below come here, and those have AVX2.
+        unsafe { _mm256_loadu_ps(hull.as_ptr()) }
+    }
+    #[inline(always)]
+    fn store(v: __m256) -> Hull {
+        let mut hull = [0.0; 8];
+        // SAFETY: as above.
+        unsafe { _mm256_storeu_ps(hull.as_mut_ptr(), v) };
+        hull
+    }
+}
+
+// Written out, since the compiler turns the portable text into masked stores, which are slow.
+#[cfg(target_arch = "x86_64")]
+impl Arithmetic for Avx2 {
+    #[inline(always)]
+    fn union(a: &Hull, b: &Hull) -> Hull {
+        // SAFETY: only the kernels below come here, and those have AVX2.
+        Self::store(unsafe { _mm256_min_ps(Self::load(a), Self::load(b)) })
+    }
+    #[inline(always)]
+    fn bins_of(grid: &Grid, hull: &Hull) -> [usize; 3] {
+        // SAFETY: as above; hull and grid have the floats that are loaded.
+        unsafe {
+            let (low, high) = (
+                _mm_loadu_ps(hull.as_ptr()),
+                _mm_loadu_ps(hull.as_ptr().add(4)),
+            );
+            let from_lower = _mm_sub_ps(_mm_sub_ps(low, high), _mm_loadu_ps(grid.lower.as_ptr()));
+            let at = _mm_cvttps_epi32(_mm_mul_ps(from_lower, _mm_loadu_ps(grid.scale.as_ptr())));
+            let at = _mm_min_epi32(at, _mm_set1_epi32(grid.bins as i32 - 1));
+            [
+                _mm_extract_epi32::<0>(at) as usize,
+                _mm_extract_epi32::<1>(at) as usize,
+                _mm_extract_epi32::<2>(at) as usize,
+            ]
+        }
+    }
+    #[inline(always)]
+    fn centre(hull: &Hull) -> Hull {
+        let v = Self::load(hull);
+        // SAFETY: as above.
+        Self::store(unsafe { _mm256_sub_ps(v, _mm256_permute2f128_ps::<1>(v, v)) })
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
 impl Kernels for Avx2 {
     #[target_feature(enable = "avx2")]
     unsafe fn bin(refs: &[Ref], grid: &Grid, bins: &mut Bins) {
-        bin(refs, grid, bins)
+        bin::<Self>(refs, grid, bins)
     }
     #[target_feature(enable = "avx2")]
     unsafe fn choose(bins: &Bins, grid: &Grid) -> Option<Plane> {
-        choose(bins, grid)
+        choose::<Self>(bins, grid)
     }
     #[target_feature(enable = "avx2")]
     unsafe fn partition(
@@ -293,10 +374,10 @@ impl Kernels for Avx2 {
         grid: &Grid,
         plane: &Plane,
     ) -> Split {
-        partition(refs, scratch, grid, plane)
+        partition::<Self>(refs, scratch, grid, plane)
     }
     #[target_feature(enable = "avx2")]
     unsafe fn sweep(refs: &mut [Ref]) -> Option<Split> {
-        sweep(refs)
+        sweep::<Self>(refs)
     }
 }
