@@ -2,7 +2,7 @@
 
 mod support;
 
-use occlude_render::integrator::Integrator;
+use occlude_render::integrator::{Integrator, PathLimits};
 use occlude_render::light::LightSelection;
 use occlude_render::sampling::SamplerKind;
 use occlude_testkit::picture::Picture;
@@ -22,7 +22,7 @@ fn closed_room_has_its_radiance_at_every_depth() {
     let scene = furnace();
     for max_depth in [0, 1, 2, 5, 64] {
         let setup = Setup {
-            integrator: Integrator::Path { max_depth },
+            integrator: Integrator::Path(PathLimits::new(max_depth)),
             ..Setup::default()
         };
         let expected = 1.0 - 0.5f64.powi(max_depth as i32 + 1);
@@ -63,7 +63,7 @@ fn white_box_under_white_sky_is_white() {
     let scene = white_box_in_white_sky();
     for sampler in [SamplerKind::Sobol, SamplerKind::Independent] {
         for occluder in [false, true] {
-            let integrator = Integrator::Path { max_depth: 1000 };
+            let integrator = Integrator::Path(PathLimits::new(1000));
             let setup = Setup {
                 sampler,
                 occluder,

@@ -2,11 +2,12 @@
 
 mod support;
 
-use occlude_render::integrator::Integrator;
+use occlude_render::integrator::{Integrator, PathLimits};
 use occlude_render::light::LightSelection;
 use occlude_render::sampling::SamplerKind;
 use occlude_scene::Scene;
 use occlude_testkit::estimate::Estimate;
+use occlude_testkit::picture::Picture;
 use support::{Setup, brute, cornell, film, furnace, picture};
 
 const FALSE_ALARM: f64 = 1e-4;
@@ -23,7 +24,7 @@ fn references() -> Vec<(&'static str, Scene, u32)> {
 }
 
 const REFERENCE_SIZE: (u32, u32) = (16, 16);
-const REFERENCE_SAMPLES: u32 = 20_000;
+const REFERENCE_SAMPLES: u32 = 100_000;
 
 /// Renders the references again: `cargo test --release -p occlude-render --test pictures -- --ignored` (minutes).
 #[test]
@@ -40,7 +41,7 @@ fn path_tracer_agrees_with_stored_brute_force() {
     for (name, scene, max_depth) in references() {
         let reference = brute::load(name, REFERENCE_SIZE, REFERENCE_SAMPLES);
         for selection in [LightSelection::Uniform, LightSelection::Tree] {
-            let integrator = Integrator::Path { max_depth };
+            let integrator = Integrator::Path(PathLimits::new(max_depth));
             let setup = Setup {
                 integrator,
                 selection,
@@ -48,13 +49,17 @@ fn path_tracer_agrees_with_stored_brute_force() {
                 samples: 64,
                 ..Setup::default()
             };
-            picture(&scene, &setup, 12).assert_same(
-                &reference,
-                FALSE_ALARM,
-                &format!("{name}-{selection:?}"),
-            );
+            let found = picture(&scene, &setup, 12);
+            let name = format!("{name}-{selection:?}");
+            found.assert_same(&reference, FALSE_ALARM, &name);
+            whole(&found).assert_same(&whole(&reference), FALSE_ALARM, &format!("{name}-mean"));
         }
     }
+}
+
+/// The mean over the picture: finds small errors that are everywhere.
+fn whole(picture: &Picture) -> Picture {
+    picture.blocks(REFERENCE_SIZE.0 as usize)
 }
 
 /// The test above can fail: a lamp two percent brighter is found out.
@@ -65,7 +70,7 @@ fn stored_references_find_small_errors() {
         material.emission *= 1.02;
     }
     let reference = brute::load(name, REFERENCE_SIZE, REFERENCE_SAMPLES);
-    let integrator = Integrator::Path { max_depth };
+    let integrator = Integrator::Path(PathLimits::new(max_depth));
     let setup = Setup {
         integrator,
         size: REFERENCE_SIZE,
@@ -73,8 +78,8 @@ fn stored_references_find_small_errors() {
         ..Setup::default()
     };
     assert!(
-        picture(&scene, &setup, 12)
-            .test(&reference, FALSE_ALARM)
+        whole(&picture(&scene, &setup, 12))
+            .test(&whole(&reference), FALSE_ALARM)
             .is_err()
     );
 }
@@ -82,7 +87,7 @@ fn stored_references_find_small_errors() {
 #[test]
 fn samplers_agree() {
     let scene = cornell();
-    let integrator = Integrator::Path { max_depth: 4 };
+    let integrator = Integrator::Path(PathLimits::new(4));
     let setup = |sampler| Setup {
         integrator,
         sampler,
@@ -109,7 +114,7 @@ fn samplers_agree() {
 fn exact_strategies_and_threads_give_equal_bytes() {
     for scene in [cornell(), furnace()] {
         let integrators = [
-            Integrator::Path { max_depth: 6 },
+            Integrator::Path(PathLimits::new(6)),
             Integrator::AmbientOcclusion { distance: 0.2 },
         ];
         for integrator in integrators {
@@ -150,7 +155,7 @@ fn exact_strategies_and_threads_give_equal_bytes() {
 #[test]
 fn film_knows_its_variance() {
     let scene = cornell();
-    let integrator = Integrator::Path { max_depth: 3 };
+    let integrator = Integrator::Path(PathLimits::new(3));
     let runs: Vec<_> = (0..48)
         .map(|seed| {
             let sampler = SamplerKind::Independent;

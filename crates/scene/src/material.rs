@@ -147,3 +147,23 @@ impl Default for Material {
         }
     }
 }
+
+impl Material {
+    /// The same surface as a Lambert one: base colour, alpha and emission stay, everything that shines goes. For
+    /// comparing renderers, which agree on what Lambert means.
+    pub fn diffuse_only(&self) -> Self {
+        Self {
+            name: self.name.clone(),
+            base_color: self.base_color,
+            base_color_texture: self.base_color_texture,
+            metallic: 0.0,
+            specular: 0.0,
+            emission: self.emission,
+            emission_texture: self.emission_texture,
+            alpha_mode: self.alpha_mode,
+            double_sided: self.double_sided,
+            unlit: self.unlit,
+            ..Self::default()
+        }
+    }
+}

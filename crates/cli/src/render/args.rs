@@ -143,6 +143,10 @@ pub struct RenderArgs {
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(0..=65_535), allow_negative_numbers = true, help_heading = "Work")]
     pub max_depth: u32,
 
+    /// Make every surface Lambert with its base colour: for comparison with other renderers
+    #[arg(long, help_heading = "Work")]
+    pub diffuse_only: bool,
+
     /// Blur glossy surfaces where they are seen by way of a rough one: far fewer fireflies, but soft caustics (biased)
     #[arg(long, help_heading = "Work")]
     pub regularize: bool,

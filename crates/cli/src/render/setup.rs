@@ -42,6 +42,11 @@ pub fn load(
     if let Some(sun) = &args.sun {
         add_sun(&mut scene, sun);
     }
+    if args.diffuse_only {
+        for material in &mut scene.materials {
+            *material = material.diffuse_only();
+        }
+    }
     Ok((scene, sky))
 }
 

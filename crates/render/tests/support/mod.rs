@@ -8,7 +8,9 @@ use occlude_bvh::BuildOptions;
 use occlude_render::camera::{PixelFilter, View};
 use occlude_render::film::Film;
 use occlude_render::geometry::Geometry;
-use occlude_render::integrator::{Integrator, RenderReport, RenderSettings, World, render};
+use occlude_render::integrator::{
+    Integrator, PathLimits, RenderReport, RenderSettings, World, render,
+};
 use occlude_render::job::Job;
 use occlude_render::light::{LightSelection, Lights};
 use occlude_render::sampling::SamplerKind;
@@ -35,7 +37,7 @@ impl Default for Setup {
             size: (16, 16),
             samples: 16,
             seed: 0,
-            integrator: Integrator::Path { max_depth: 64 },
+            integrator: Integrator::Path(PathLimits::new(64)),
             sampler: SamplerKind::Sobol,
             selection: LightSelection::Tree,
             occluder: false,
