@@ -178,15 +178,15 @@ pub(super) fn city(detail: f32, seed: u64) -> Builder {
         b.add(name, solids.0, material);
     }
     square(&mut b, fine);
-    b.sun(0.09, 0.1, vec3(22.0, 19.0, 14.0));
-    b.scene.sky = vec3(1.2, 1.7, 2.6);
+    b.sun(0.09, 0.1, vec3(6.0, 5.2, 3.9));
+    b.scene.sky = vec3(0.4, 0.56, 0.85);
     b.camera(
         "skyline",
-        vec3(-1350.0, 330.0, 1500.0),
+        vec3(-900.0, 250.0, 1000.0),
         vec3(60.0, 60.0, 0.0),
         40.0,
     );
-    b.camera("square", vec3(-19.0, 2.2, 30.0), vec3(0.0, 6.5, -4.0), 65.0);
+    b.camera("square", vec3(-13.0, 2.0, 20.0), vec3(0.0, 6.5, -4.0), 65.0);
     b.camera("statue", vec3(0.9, 5.6, 3.4), vec3(0.0, 5.3, 0.0), 35.0);
     b.camera(
         "suburb",

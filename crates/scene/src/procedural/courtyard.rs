@@ -18,8 +18,8 @@ pub(super) fn courtyard(detail: f32, seed: u64) -> Builder {
     ground(&mut b, detail, &mut rng);
     greenery(&mut b, detail, &mut rng);
     lamps(&mut b);
-    b.sun(0.10, 0.13, Vec3::new(20.0, 17.5, 13.5));
-    b.scene.sky = Vec3::new(1.1, 1.6, 2.5);
+    b.sun(0.10, 0.13, Vec3::new(13.0, 11.4, 8.8));
+    b.scene.sky = Vec3::new(0.75, 1.1, 1.7);
     b.camera(
         "gate",
         Vec3::new(-17.0, 1.7, 16.5),

@@ -117,7 +117,7 @@ pub(super) fn many_lights(detail: f32, seed: u64) -> Builder {
     };
     for _ in 0..POINTS {
         let position = at(&mut rng);
-        let power = 0.004 * (1.0 + 60.0 * rng.unit() * rng.unit() * rng.unit() * rng.unit());
+        let power = 0.03 * (1.0 + 60.0 * rng.unit() * rng.unit() * rng.unit() * rng.unit());
         let hue = rng.unit();
         let color = vec3(1.0, 0.45 + 0.4 * hue, 0.15 + 0.75 * hue * hue);
         b.point_light("", position, color * power);
