@@ -268,7 +268,7 @@ impl Parser<'_> {
             let from_zero = if i < 0 { count as i64 + i } else { i - 1 };
             (0..count as i64)
                 .contains(&from_zero)
-                .then(|| from_zero as u32)
+                .then_some(from_zero as u32)
         };
         let corner = [
             index(self.positions.len(), true)?,

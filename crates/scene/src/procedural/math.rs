@@ -55,7 +55,7 @@ impl Rng {
 
     /// Uniform below `n`.
     pub fn below(&mut self, n: usize) -> usize {
-        (u128::from(self.next()) * n as u128 >> 64) as usize
+        ((u128::from(self.next()) * n as u128) >> 64) as usize
     }
 
     /// Uniform on the unit sphere (Archimedes).

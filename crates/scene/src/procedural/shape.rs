@@ -12,6 +12,9 @@ pub(super) struct Shape {
     pub triangles: Vec<[u32; 3]>,
 }
 
+/// A hole in a wall: (from, to) along the wall and (bottom, top).
+type Hole = ([f32; 2], [f32; 2]);
+
 impl Shape {
     fn vertex(&mut self, position: Vec3, normal: Vec3, uv: Vec2) -> u32 {
         self.positions.push(position);
@@ -70,10 +73,10 @@ impl Shape {
 
     /// Adds an upright wall, the box from `low` to `high`, with rectangular holes through it. It runs along X or along Z.
     /// Holes are (from, to) along the wall and (bottom, top); all faces share the corners of one grid.
-    pub fn wall(&mut self, low: Vec3, high: Vec3, along_x: bool, holes: &[([f32; 2], [f32; 2])]) {
+    pub fn wall(&mut self, low: Vec3, high: Vec3, along_x: bool, holes: &[Hole]) {
         let u = if along_x { 0 } else { 2 };
         let w = 2 - u;
-        let lines = |axis: usize, of: fn(&([f32; 2], [f32; 2])) -> [f32; 2]| {
+        let lines = |axis: usize, of: fn(&Hole) -> [f32; 2]| {
             let mut all = vec![low[axis], high[axis]];
             all.extend(
                 holes
