@@ -194,7 +194,7 @@ impl Map {
         let mut integral = [0.0_f64; 3];
         let mut row_weights = vec![0.0; row_count];
         let mut weights = vec![0.0; columns];
-        for row in 0..row_count {
+        for (row, row_weight) in row_weights.iter_mut().enumerate() {
             weights.fill(0.0);
             for y in row * cell..height.min((row + 1) * cell) {
                 let solid_angle =
@@ -213,7 +213,7 @@ impl Map {
                 &mut map.before[cells.clone()],
                 &mut map.guide[cells],
             ) {
-                row_weights[row] = weights.iter().map(|&w| f64::from(w)).sum::<f64>() as f32;
+                *row_weight = weights.iter().map(|&w| f64::from(w)).sum::<f64>() as f32;
             }
         }
         map.rows = Distribution::new(&row_weights)?;

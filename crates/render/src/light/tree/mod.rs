@@ -180,7 +180,7 @@ impl Node {
         const MOST: f32 = f32::MAX / 16.0;
         let every_side = if normal == Vec3::ZERO { 1.0 } else { 0.0 };
         let mut of_child = [0.0; WIDTH];
-        for i in 0..WIDTH {
+        for (i, promise) in of_child.iter_mut().enumerate() {
             let x = self.center_x[i] - position.x;
             let y = self.center_y[i] - position.y;
             let z = self.center_z[i] - position.z;
@@ -241,7 +241,7 @@ impl Node {
             } else {
                 0.0
             };
-            of_child[i] = smaller(
+            *promise = smaller(
                 self.intensity[i].abs() * emitted * received * nearness,
                 MOST,
             );
