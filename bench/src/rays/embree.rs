@@ -155,8 +155,6 @@ impl Embree {
             self.function("rtcAttachGeometry");
         let commit_scene: unsafe extern "C" fn(Handle) = self.function("rtcCommitScene");
         let error: unsafe extern "C" fn(Handle) -> i32 = self.function("rtcGetDeviceError");
-        let property: unsafe extern "C" fn(Handle, u32) -> isize =
-            self.function("rtcGetDeviceProperty");
         let set_monitor: unsafe extern "C" fn(
             Handle,
             unsafe extern "C" fn(Handle, isize, bool) -> bool,

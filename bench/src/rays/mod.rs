@@ -32,8 +32,11 @@ const CHUNK: usize = 4096;
 struct Engine<'a> {
     name: &'static str,
     closest: Option<Closest<'a>>,
-    occluded: Box<dyn Fn(&[Ray], &mut [bool]) + Sync + 'a>,
+    occluded: Occluded<'a>,
 }
+
+/// Whether anything blocks each ray.
+type Occluded<'a> = Box<dyn Fn(&[Ray], &mut [bool]) + Sync + 'a>;
 
 /// Distances of the nearest hits.
 type Closest<'a> = Box<dyn Fn(&[Ray], &mut [f32]) + Sync + 'a>;
@@ -123,8 +126,11 @@ struct Rate {
 struct Measured {
     scene: String,
     /// `[set][engine][threads - 1]`.
-    rates: Vec<(&'static str, Vec<(&'static str, Vec<Rate>)>)>,
+    rates: Vec<(&'static str, EngineRates)>,
 }
+
+/// Each engine's rates by number of threads less one.
+type EngineRates = Vec<(&'static str, Vec<Rate>)>;
 
 impl Measured {
     fn rate(&self, set: &str, engine: &str, threads: usize) -> Option<&Rate> {
