@@ -136,7 +136,7 @@ fn samples_follow_the_density() {
                 ..Default::default()
             };
             let result = grid.test(
-                60_000,
+                40_000,
                 &mut |i| {
                     let [x, y, lobe, _] =
                         Sampler::new(SamplerKind::Independent, 3, [0, 0], i as u32).next();

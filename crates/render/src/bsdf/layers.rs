@@ -1,14 +1,15 @@
 //! What lies on top of the base material: clear coat (`KHR_materials_clearcoat`) over sheen (`KHR_materials_sheen`).
 //!
 //! The coat is a GGX lobe of index 1.5; the sheen is Estevez & Kulla's "Charlie" distribution (2017), `D = (2 + 1/a) sin^(1/a) / 2π`, with
-//! Neubelt's visibility `1 / 4 (cos_i + cos_o - cos_i cos_o)`. Each layer takes its directional albedo `E` from what is below; a lobe
+//! Neubelt's visibility `1 / 4 (cos_i + cos_o - cos_i cos_o)`. Below a roughness of 0.45 that reflects more than arrives at grazing
+//! angles, so it is divided by the larger of `E(wo)`, `E(wi)` and 1. Each layer takes its directional albedo `E` from what is below; a lobe
 //! below is dimmed by the smaller of `1 - E(wo)` and `1 - E(wi)` (as the sheen extension proposes), which is reciprocal and never gains light. The
 //! cosine lobe, where that would lose several per cent, takes the normalised product instead (see `setup`). Wrong tool for: coloured
 //! coats, and light that bounces between coat and base.
 
-use super::albedo::{Row, Split, sheen_albedo};
+use super::albedo::{Row, sheen_albedo};
 use super::microfacet::{
-    ALPHA_DELTA, g1_over_2cos, g2_over_4cos_cos, ggx_d, schlick_weight, smith_root,
+    ALPHA_DELTA, g1_over_2cos, g2_over_4cos_o, half_vector, schlick_weight, smith_root,
 };
 use super::{BsdfParameters, unit, unit_color};
 use glam::Vec3;
@@ -33,6 +34,8 @@ pub(super) struct Layers {
     /// Light that gets through both layers, and through the coat alone, along `wo`.
     pub through_o: f32,
     coat_through_o: f32,
+    /// Largest of 1 and the raw sheen's albedo along `wo`.
+    sheen_excess_o: f32,
 }
 
 impl Layers {
@@ -51,15 +54,21 @@ impl Layers {
             coat,
             coat_alpha,
             coat_delta,
-            coat_row: Row::new(if coat_delta { 0.0 } else { roughness }),
+            coat_row: if coat_delta {
+                Row::MIRROR
+            } else {
+                Row::new(roughness)
+            },
             sheen,
             sheen_max,
             sheen_roughness: unit(parameters.sheen_roughness).max(SHEEN_ROUGHNESS_MIN),
             through_o: 1.0,
             coat_through_o: 1.0,
+            sheen_excess_o: 1.0,
         };
         layers.coat_through_o = layers.coat_through(cos_o);
         layers.through_o = layers.through(cos_o);
+        layers.sheen_excess_o = layers.sheen_excess(cos_o);
         Some(layers)
     }
 
@@ -68,11 +77,7 @@ impl Layers {
         if self.coat == 0.0 {
             return 0.0;
         }
-        let e = if self.coat_delta {
-            Split::mirror(cos)
-        } else {
-            self.coat_row.at(cos)
-        };
+        let e = self.coat_row.at(cos);
         self.coat * (COAT_F0 * e.a + e.b)
     }
 
@@ -80,13 +85,19 @@ impl Layers {
         1.0 - self.coat_albedo(cos)
     }
 
-    /// Directional albedo of the sheen (of its strongest channel), the coat above it left out.
+    /// Directional albedo of the sheen (of its strongest channel), the coat above it left out: an upper bound where it was scaled down.
     fn sheen_albedo(&self, cos: f32) -> f32 {
         if self.sheen_max == 0.0 {
-            0.0
-        } else {
-            self.sheen_max * sheen_albedo(self.sheen_roughness, cos)
+            return 0.0;
         }
+        self.sheen_max * sheen_albedo(self.sheen_roughness, cos).min(1.0)
+    }
+
+    fn sheen_excess(&self, cos: f32) -> f32 {
+        if self.sheen_max == 0.0 {
+            return 1.0;
+        }
+        sheen_albedo(self.sheen_roughness, cos).max(1.0)
     }
 
     /// What the sheen reflects towards `wo` through the coat, by channel.
@@ -94,7 +105,8 @@ impl Layers {
         if self.sheen_max == 0.0 {
             return Vec3::ZERO;
         }
-        self.sheen * (self.coat_through_o * sheen_albedo(self.sheen_roughness, cos_o))
+        let e = sheen_albedo(self.sheen_roughness, cos_o).min(1.0);
+        self.sheen * (self.coat_through_o * e)
     }
 
     /// Share of light that both layers leave to what is below, along one direction.
@@ -113,18 +125,19 @@ impl Layers {
     }
 
     /// `(f cos, pdf of visible normals)` of the rough coat.
-    pub fn eval_coat(&self, wo: Vec3, wi: Vec3, h: Vec3) -> (f32, f32) {
-        let d = ggx_d(self.coat_alpha, h);
+    pub fn eval_coat(&self, wo: Vec3, wi: Vec3) -> (f32, f32) {
+        let (cos_h, d) = half_vector(self.coat_alpha, wo + wi);
         let root_o = smith_root(self.coat_alpha, wo.z);
         let root_i = smith_root(self.coat_alpha, wi.z);
-        let value =
-            self.coat_facet(wo.dot(h)) * d * g2_over_4cos_cos(wo.z, root_o, wi.z, root_i) * wi.z;
+        let value = self.coat_facet(cos_h) * d * g2_over_4cos_o(wo.z, root_o, wi.z, root_i);
         (value, d * 0.5 * g1_over_2cos(wo.z, root_o))
     }
 
     /// `f cos` of the sheen, the coat's dimming included.
-    pub fn eval_sheen(&self, wo: Vec3, wi: Vec3, h: Vec3) -> Vec3 {
-        let dim = self.coat_through_o.min(self.coat_through(wi.z));
+    pub fn eval_sheen(&self, wo: Vec3, wi: Vec3) -> Vec3 {
+        let h = (wo + wi).normalize_or_zero();
+        let dim = self.coat_through_o.min(self.coat_through(wi.z))
+            / self.sheen_excess_o.max(self.sheen_excess(wi.z));
         self.sheen * (dim * charlie(self.sheen_roughness, wo, wi, h) * wi.z)
     }
 }

@@ -5,11 +5,14 @@
 
 use crate::sampling::warp::sin_cos_turns;
 use glam::{Vec2, Vec3};
-use std::f32::consts::PI;
+use std::f32::consts::{FRAC_1_PI, PI};
 
 /// Below this alpha a lobe is treated as an exact mirror: `h = wi + wo` is known to about 6e-8, so the slope `h.xy / alpha` in which
 /// the distribution is written would have lost more than 1e-4 of its value, and the lobe is narrower than 0.1 degrees.
 pub(super) const ALPHA_DELTA: f32 = 1e-3;
+
+/// Directions with a smaller cosine scatter nothing: quotients of smaller ones leave the range of floats, and no light is lost that could be seen.
+pub(super) const GRAZING: f32 = 1e-6;
 
 /// Density of microfacet normals `h`, per steradian and projected area (Walter 2007, eq. 33), written in slopes: no cancellation near the pole.
 #[inline]
@@ -32,10 +35,23 @@ pub(super) fn g1_over_2cos(cos: f32, root: f32) -> f32 {
     1.0 / (cos + root)
 }
 
-/// `G2(wo, wi) / (4 cos(wo) cos(wi))`, height-correlated (Heitz 2014, eq. 99), finite at grazing angles.
+/// `G2(wo, wi) / (4 cos(wo))`, height-correlated (Heitz 2014, eq. 99), finite at grazing angles.
 #[inline]
-pub(super) fn g2_over_4cos_cos(cos_o: f32, root_o: f32, cos_i: f32, root_i: f32) -> f32 {
-    0.5 / (cos_o * root_i + cos_i * root_o)
+pub(super) fn g2_over_4cos_o(cos_o: f32, root_o: f32, cos_i: f32, root_i: f32) -> f32 {
+    0.5 * cos_i / (cos_o * root_i + cos_i * root_o)
+}
+
+/// Cosine at the microfacet that reflects `wi` into `wo`, and [`ggx_d`] there, from the sum `wo + wi` without normalising it.
+#[inline]
+pub(super) fn half_vector(alpha: f32, sum: Vec3) -> (f32, f32) {
+    let a2 = alpha * alpha;
+    let length2 = sum.length_squared().max(f32::MIN_POSITIVE);
+    let e = (sum.x * sum.x + sum.y * sum.y) + a2 * (sum.z * sum.z);
+    let ratio = length2 / e.max(f32::MIN_POSITIVE);
+    (
+        (0.5 * length2.sqrt()).min(1.0),
+        a2 * FRAC_1_PI * ratio * ratio,
+    )
 }
 
 /// A microfacet normal in proportion to its projected area as seen from `wo` (`wo.z >= 0`).

@@ -1,7 +1,23 @@
-//! How surfaces scatter light.
+//! How surfaces scatter light: glTF 2.0 metallic-roughness with ior, specular, transmission, volume (its boundary), clearcoat and sheen.
 //!
 //! Directions are unit vectors in the local frame of the surface: z is the shading normal on the side of `wo`, so `wo.z > 0`.
-//! `wo` points to where light goes (the eye), `wi` to where it comes from.
+//! `wo` points to where light goes (the eye), `wi` to where it comes from. Values are radiance per irradiance, already times `|cos wi|`.
+//!
+//! A material is the sum of these lobes, each with its share (`m` metallic, `t` transmission):
+//!
+//! * diffuse `(1-m)(1-t)`: base colour / π below the specular layer, `(1-E(wo)) (1-E(wi)) / (1-mean E)` of it (Kulla & Conty 2017);
+//!   with `specular` 0 exactly base colour / π;
+//! * GGX reflection with Smith's height-correlated shadowing and Schlick's Fresnel term (glTF 2.0, appendix B); several bounces on the
+//!   microsurface are added as a cosine lobe (Kulla & Conty), so a white metal reflects all light at every roughness;
+//! * thin wall `(1-m) t`: reflects as a sheet, `2R/(1+R)`; the rest passes straight on when smooth, blurred by a mirrored GGX lobe
+//!   when rough, multiplied by the base colour once;
+//! * boundary of a body `(1-m) t`: Walter et al. 2007 with the exact Fresnel equations; radiance is squeezed by `1/eta²`
+//!   ([`BsdfSample::eta2`]); the base colour tints each crossing;
+//! * clear coat and sheen on top, see `layers`.
+//!
+//! Everything is reciprocal (`f(wo,wi) = f(wi,wo)`, across a boundary over the squared index) and gains no light; perceptual
+//! roughness below 0.0316 is an exact mirror. Not modelled: several bounces in rough refraction (a body of
+//! roughness 1 and index 1.5 loses up to 60 %, of roughness 0.5 up to 21 %, of 0.2 under 3 % away from the horizon), anisotropy, iridescence, dispersion.
 
 mod albedo;
 mod layers;
@@ -12,6 +28,7 @@ mod setup;
 use albedo::Row;
 use glam::{Vec2, Vec3};
 use layers::Layers;
+use microfacet::GRAZING;
 use std::f32::consts::FRAC_1_PI;
 
 use crate::sampling::warp;
@@ -117,6 +134,8 @@ pub struct Bsdf {
     alpha: f32,
     /// `smith_root` of `wo`.
     root_o: f32,
+    /// `G1(wo) / (4 wo.z)`: density of a reflected visible normal over `D`.
+    half_visible: f32,
     /// Schlick reflectance of the GGX lobe at normal and at grazing incidence.
     f0: Vec3,
     f90: f32,
@@ -172,9 +191,9 @@ impl Bsdf {
             let cos = wi.z.max(0.0) * FRAC_1_PI;
             return (self.diffuse * cos, cos);
         }
-        if wi.z > 0.0 {
+        if wi.z >= GRAZING {
             self.eval_above(wo, wi)
-        } else if wi.z < 0.0 {
+        } else if wi.z <= -GRAZING {
             self.eval_below(wo, wi)
         } else {
             (Vec3::ZERO, 0.0)

@@ -6,7 +6,7 @@
 
 use super::albedo::Row;
 use super::microfacet::{
-    fresnel_dielectric, g1_over_2cos, g2_over_4cos_cos, ggx_d, reflect, refract,
+    fresnel_dielectric, g1_over_2cos, g2_over_4cos_o, ggx_d, half_vector, reflect, refract,
     sample_visible_normal, schlick_weight, smith_root,
 };
 use super::{Bsdf, BsdfSample, Cover, Wall};
@@ -75,43 +75,42 @@ impl Bsdf {
             value += (self.diffuse * through + self.multiple * e.lost()) * cos;
             pdf += self.pick.cosine * cos;
         }
-        let h = (wo + wi).normalize_or_zero();
         if let Some(layers) = &self.layers
             && self.cover == Cover::Near
         {
             // The cosine lobe takes the normalised product (the rest of it is in `diffuse` and `multiple`), the others the minimum.
             value *= layers.through(wi.z);
-            let (specular, p) = self.eval_specular(wo, wi, h);
+            let (specular, p) = self.eval_specular(wo, wi);
             value += specular * layers.dim(wi.z);
             pdf += p;
             if self.pick.coat > 0.0 && !layers.coat_delta {
-                let (coat, p) = layers.eval_coat(wo, wi, h);
+                let (coat, p) = layers.eval_coat(wo, wi);
                 value += Vec3::splat(coat);
                 pdf += self.pick.coat * p;
             }
             if self.pick.sheen > 0.0 {
-                value += layers.eval_sheen(wo, wi, h);
+                value += layers.eval_sheen(wo, wi);
                 pdf += self.pick.sheen * UNIFORM_HEMISPHERE_PDF;
             }
             return (value, pdf);
         }
-        let (specular, p) = self.eval_specular(wo, wi, h);
+        let (specular, p) = self.eval_specular(wo, wi);
         (value + specular, pdf + p)
     }
 
     /// The reflecting GGX lobe of the base.
     #[inline]
-    fn eval_specular(&self, wo: Vec3, wi: Vec3, h: Vec3) -> (Vec3, f32) {
+    fn eval_specular(&self, wo: Vec3, wi: Vec3) -> (Vec3, f32) {
         if self.pick.specular <= 0.0 || self.delta {
             return (Vec3::ZERO, 0.0);
         }
-        let facet = self.facet(wo.dot(h));
-        let d = ggx_d(self.alpha, h);
+        let (cos_h, d) = half_vector(self.alpha, wo + wi);
+        let facet = self.facet(cos_h);
         let root_i = smith_root(self.alpha, wi.z);
-        let value = facet.reflect * (d * g2_over_4cos_cos(wo.z, self.root_o, wi.z, root_i) * wi.z);
+        let value = facet.reflect * (d * g2_over_4cos_o(wo.z, self.root_o, wi.z, root_i));
         (
             value,
-            self.pick.specular * facet.pick_reflect * d * 0.5 * g1_over_2cos(wo.z, self.root_o),
+            self.pick.specular * facet.pick_reflect * d * self.half_visible,
         )
     }
 
@@ -125,16 +124,11 @@ impl Bsdf {
             Wall::Opaque => none,
             Wall::Thin => {
                 let mirrored = Vec3::new(wi.x, wi.y, -wi.z);
-                let h = (wo + mirrored).normalize_or_zero();
-                let facet = self.facet(wo.dot(h));
-                let d = ggx_d(self.alpha, h);
+                let (cos_h, d) = half_vector(self.alpha, wo + mirrored);
+                let facet = self.facet(cos_h);
                 let root_i = smith_root(self.alpha, mirrored.z);
-                let lobe = d * g2_over_4cos_cos(wo.z, self.root_o, mirrored.z, root_i) * mirrored.z;
-                let p = self.pick.specular
-                    * (1.0 - facet.pick_reflect)
-                    * d
-                    * 0.5
-                    * g1_over_2cos(wo.z, self.root_o);
+                let lobe = d * g2_over_4cos_o(wo.z, self.root_o, mirrored.z, root_i);
+                let p = self.pick.specular * (1.0 - facet.pick_reflect) * d * self.half_visible;
                 let cos = mirrored.z * FRAC_1_PI;
                 let lost = self.row.at(mirrored.z).lost();
                 (
@@ -162,7 +156,7 @@ impl Bsdf {
             return (Vec3::ZERO, 0.0);
         }
         // Visible normals: G1(wo) D (wo·h) / wo.z.
-        let visible = 2.0 * g1_over_2cos(wo.z, self.root_o) * ggx_d(self.alpha, h) * cos_o;
+        let visible = 4.0 * self.half_visible * ggx_d(self.alpha, h) * cos_o;
         let g1_i = 2.0 * -wi.z * g1_over_2cos(-wi.z, smith_root(self.alpha, wi.z));
         let pdf = self.pick.specular
             * (1.0 - facet.pick_reflect)

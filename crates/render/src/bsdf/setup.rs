@@ -2,15 +2,15 @@
 
 use super::albedo::{Row, Split};
 use super::layers::Layers;
-use super::microfacet::{ALPHA_DELTA, schlick_weight, smith_root};
+use super::microfacet::{ALPHA_DELTA, GRAZING, g1_over_2cos, schlick_weight, smith_root};
 use super::{Bsdf, BsdfParameters, Cover, Pick, Wall, unit, unit_color};
 use glam::Vec3;
 
-/// A Schlick reflectance with what several bounces on the microsurface add to it.
-struct Layer<T> {
-    f0: T,
+/// A grey Schlick reflectance with what several bounces on the microsurface add to it.
+struct Layer {
+    f0: f32,
     f90: f32,
-    multiple: T,
+    multiple: f32,
 }
 
 /// Kulla & Conty 2017: share of the light lost to the single bounce that leaves after all.
@@ -21,7 +21,11 @@ fn multiple_bounces(f0: f32, f90: f32, mean: Split) -> f32 {
     average * average * kept / (1.0 - average * (1.0 - kept)).max(f32::MIN_POSITIVE)
 }
 
-impl Layer<f32> {
+fn multiple_bounces_colored(f0: Vec3, f90: f32, mean: Split) -> Vec3 {
+    Vec3::from_array(f0.to_array().map(|f0| multiple_bounces(f0, f90, mean)))
+}
+
+impl Layer {
     fn new(f0: f32, f90: f32, mean: Split) -> Self {
         Self {
             f0,
@@ -34,12 +38,14 @@ impl Layer<f32> {
     fn albedo(&self, e: Split) -> f32 {
         self.f0 * e.a + self.f90 * e.b + self.multiple * e.lost()
     }
-}
 
-impl Layer<Vec3> {
-    fn colored(f0: Vec3, f90: f32, mean: Split) -> Self {
-        let multiple = Vec3::from_array(f0.to_array().map(|f0| multiple_bounces(f0, f90, mean)));
-        Self { f0, f90, multiple }
+    /// [`multiple_bounces_colored`] of a layer of which this is the strongest channel.
+    fn colored_like(&self, f0: Vec3, mean: Split) -> Vec3 {
+        if f0 == Vec3::splat(self.f0) {
+            Vec3::splat(self.multiple)
+        } else {
+            multiple_bounces_colored(f0, self.f90, mean)
+        }
     }
 }
 
@@ -62,9 +68,10 @@ impl Bsdf {
         multiple: Vec3::ZERO,
         below: Vec3::ZERO,
         through: [1.0, 0.0, 0.0],
-        row: Row::ZERO,
+        row: Row::MIRROR,
         alpha: 1.0,
         root_o: 1.0,
+        half_visible: 0.0,
         f0: Vec3::ZERO,
         f90: 0.0,
         tint: Vec3::ZERO,
@@ -88,7 +95,7 @@ impl Bsdf {
 
     /// Sets up the lobes. Parameters out of range are brought into it; a `wo` that is not above the surface scatters nothing.
     pub fn new(parameters: &BsdfParameters, wo: Vec3) -> Self {
-        if !(wo.z > 0.0 && wo.is_finite()) {
+        if !(wo.z >= GRAZING && wo.is_finite()) {
             return Self::BLACK;
         }
         let base = unit_color(parameters.base_color);
@@ -105,17 +112,6 @@ impl Bsdf {
             };
         }
 
-        let roughness = unit(parameters.roughness);
-        let alpha = roughness * roughness;
-        let delta = alpha < ALPHA_DELTA;
-        let row = Row::new(if delta { 0.0 } else { roughness });
-        let mean = row.mean();
-        let e = if delta {
-            Split::mirror(wo.z)
-        } else {
-            row.at(wo.z)
-        };
-
         // KHR_materials_ior, KHR_materials_specular. An index of 0 stands for an infinite one.
         let ior = if parameters.ior > 0.0 {
             parameters.ior.max(1.0)
@@ -129,25 +125,55 @@ impl Bsdf {
         };
         let color = parameters.specular_color.max(Vec3::ZERO);
         let f0 = (color * (ratio * ratio)).min(Vec3::ONE) * specular;
-
         let opaque_share = (1.0 - metallic) * (1.0 - transmission);
         let glass_share = (1.0 - metallic) * transmission;
-        let dielectric = Layer::colored(f0, specular, mean);
-        let barrier = Layer::new(f0.max_element(), specular, mean);
-        let metal = Layer::colored(base, 1.0, mean);
+        let thick = glass_share > 0.0 && !parameters.thin && ior >= INDEX_MATCHED;
 
+        let roughness = unit(parameters.roughness);
+        let alpha = roughness * roughness;
+        let delta = alpha < ALPHA_DELTA || (thick && alpha * (ior - 1.0) < REFRACTION_DELTA);
+        let row = if delta {
+            Row::MIRROR
+        } else {
+            Row::new(roughness)
+        };
+        let (e, mean) = (row.at(wo.z), row.mean());
+        let lost_mean = mean.lost();
+
+        let root_o = smith_root(alpha, wo.z);
+        let half_visible = 0.5 * g1_over_2cos(wo.z, root_o);
         let mut bsdf = Self {
             delta,
             row,
             alpha,
-            root_o: smith_root(alpha, wo.z),
+            root_o,
+            half_visible,
             layers,
             ..Self::BLACK
         };
-        bsdf.f0 = dielectric.f0 * opaque_share + metal.f0 * metallic;
-        bsdf.f90 = dielectric.f90 * opaque_share + metal.f90 * metallic;
-        let lost_mean = mean.lost();
-        let mut multiple = dielectric.multiple * opaque_share + metal.multiple * metallic;
+        let mut multiple = Vec3::ZERO;
+        let mut under = 0.0;
+        if opaque_share > 0.0 {
+            let barrier = Layer::new(f0.max_element(), specular, mean);
+            bsdf.f0 = f0 * opaque_share;
+            bsdf.f90 = specular * opaque_share;
+            multiple = barrier.colored_like(f0, mean) * opaque_share;
+            // Lambert's part below the dielectric layer, in the reciprocal form (1 - E(wo)) (1 - E(wi)) / (1 - mean E) (Kulla & Conty).
+            under = 1.0 - barrier.albedo(mean);
+            if under > 0.0 {
+                bsdf.through = [
+                    1.0 - barrier.multiple,
+                    barrier.multiple - barrier.f0,
+                    barrier.multiple - barrier.f90,
+                ];
+                bsdf.diffuse = base * (opaque_share * (1.0 - barrier.albedo(e)).max(0.0) / under);
+            }
+        }
+        if metallic > 0.0 {
+            bsdf.f0 += base * metallic;
+            bsdf.f90 += metallic;
+            multiple += multiple_bounces_colored(base, 1.0, mean) * metallic;
+        }
         let mut transmitted = Vec3::ZERO;
         let mut glass_reflected = Vec3::ZERO;
 
@@ -156,11 +182,10 @@ impl Bsdf {
             let sheet = |r: Vec3| 2.0 * r / (Vec3::ONE + r);
             let f0 = sheet(f0);
             let f90 = 2.0 * specular / (1.0 + specular);
-            let layer = Layer::colored(f0, f90, mean);
             bsdf.wall = Wall::Thin;
             bsdf.f0 += f0 * glass_share;
             bsdf.f90 += f90 * glass_share;
-            multiple += layer.multiple * glass_share;
+            multiple += multiple_bounces_colored(f0, f90, mean) * glass_share;
             bsdf.sheet = [f0.max_element(), f90];
             bsdf.tint = base * glass_share;
             let reflected = bsdf.sheet[0] * e.a + f90 * e.b;
@@ -170,11 +195,8 @@ impl Bsdf {
                 let barrier = multiple_bounces(bsdf.sheet[0], f90, mean);
                 bsdf.below = bsdf.tint * ((1.0 - barrier) * e.lost() / lost_mean);
             }
-        } else if glass_share > 0.0 && ior < INDEX_MATCHED {
-            bsdf.pass = base * glass_share;
-        } else if glass_share > 0.0 {
+        } else if thick {
             bsdf.wall = Wall::Thick;
-            bsdf.delta |= alpha * (ior - 1.0) < REFRACTION_DELTA;
             let color = (color * specular).min(Vec3::ONE);
             // Nothing refracts into an infinite index; a huge finite one says the same without infinities.
             let ior = ior.min(1e6);
@@ -186,18 +208,10 @@ impl Bsdf {
             transmitted = facet.transmit;
             glass_reflected = facet.reflect
                 - (bsdf.f0 + (Vec3::splat(bsdf.f90) - bsdf.f0) * schlick_weight(wo.z));
+        } else if glass_share > 0.0 {
+            bsdf.pass = base * glass_share;
         }
 
-        // Lambert's part below the dielectric layer, in the reciprocal form (1 - E(wo)) (1 - E(wi)) / (1 - mean E) (Kulla & Conty).
-        let under = 1.0 - barrier.albedo(mean);
-        if under > 0.0 && opaque_share > 0.0 {
-            bsdf.through = [
-                1.0 - barrier.multiple,
-                barrier.multiple - barrier.f0,
-                barrier.multiple - barrier.f90,
-            ];
-            bsdf.diffuse = base * (opaque_share * (1.0 - barrier.albedo(e)).max(0.0) / under);
-        }
         if !delta && lost_mean > NEGLIGIBLE_LOSS {
             bsdf.multiple = multiple * (e.lost() / lost_mean);
         }
@@ -205,7 +219,9 @@ impl Bsdf {
         let mut cosine = bsdf.diffuse * under + bsdf.multiple * lost_mean;
         let mut specular =
             bsdf.f0 * e.a + Vec3::splat(bsdf.f90) * e.b + glass_reflected + transmitted;
-        let below = bsdf.below * lost_mean;
+        let dim = layers.as_ref().map_or(1.0, |l| l.through_o);
+        let below = bsdf.below * (lost_mean * dim);
+        let pass = bsdf.pass * dim;
         let (mut coat, mut sheen) = (0.0, Vec3::ZERO);
         if let Some(layers) = &layers {
             if bsdf.wall == Wall::Thick && !parameters.entering {
@@ -221,9 +237,9 @@ impl Bsdf {
                 sheen = layers.sheen_color_albedo(wo.z);
             }
         }
-        bsdf.albedo = cosine + specular + below + bsdf.pass + coat + sheen;
+        bsdf.albedo = cosine + specular + below + pass + coat + sheen;
         let picks =
-            [cosine, specular, below, bsdf.pass, Vec3::splat(coat), sheen].map(Vec3::max_element);
+            [cosine, specular, below, pass, Vec3::splat(coat), sheen].map(Vec3::max_element);
         let total: f32 = picks.iter().sum();
         if total > 0.0 {
             let [cosine, specular, below, pass, coat, sheen] = picks.map(|p| p / total);

@@ -11,6 +11,11 @@
 //! gets a scramble of its own. Wrong tool for: integrands in which single dimensions of *different* sets interact strongly
 //! (it is then as good as independent numbers, no worse), and for error that should look like blue noise on the screen.
 
+use sobol_burley::parts::{
+    self, Int4, hash_int4, owen_scramble_int4_rev, owen_scramble_rev, sobol_rev,
+};
+use std::sync::LazyLock;
+
 /// Where sample points come from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SamplerKind {
@@ -63,18 +68,40 @@ impl Sampler {
         match self.kind {
             SamplerKind::Sobol => {
                 let block = self.sample >> SOBOL_INDEX_BITS;
-                let index = self.sample & ((1 << SOBOL_INDEX_BITS) - 1);
-                sobol_burley::sample_4d(
-                    index,
-                    0,
-                    hash(self.pixel_seed ^ hash(set ^ block.wrapping_mul(0x9e37_79b9))),
-                )
+                let seed = hash(self.pixel_seed ^ hash(set ^ block.wrapping_mul(0x9e37_79b9)));
+                sobol_4d(self.sample & ((1 << SOBOL_INDEX_BITS) - 1), seed)
             }
             SamplerKind::Independent => {
                 pcg4d([self.pixel_seed, self.sample, set, 0x243f_6a88]).map(unit_float)
             }
         }
     }
+}
+
+/// The first four Sobol dimensions of the upper and of the lower byte of a bit-reversed 16-bit index. The sequence is linear over
+/// bits, so two look-ups replace a loop over bits that no branch predictor can follow.
+static SOBOL_BYTES: LazyLock<Box<[[[u32; 4]; 256]; 2]>> = LazyLock::new(|| {
+    let mut table = Box::new([[[0; 4]; 256]; 2]);
+    for (part, shift) in [(0, 24), (1, 16)] {
+        for (byte, entry) in (0_u32..).zip(&mut table[part]) {
+            *entry = std::array::from_fn(|d| sobol_rev(byte << shift, d as u32));
+        }
+    }
+    table
+});
+
+/// What `sobol_burley::sample_4d(index, 0, seed)` gives, to the bit.
+#[inline]
+fn sobol_4d(index: u32, seed: u32) -> [f32; 4] {
+    let shuffled = owen_scramble_rev(index.reverse_bits(), parts::hash(seed ^ 0x79c6_8e4a));
+    let [upper, lower] = &**SOBOL_BYTES;
+    let point = Int4::from(upper[(shuffled >> 24) as usize])
+        ^ Int4::from(lower[(shuffled >> 16 & 0xff) as usize]);
+    let scramble = seed.wrapping_mul(0x9c8f_2d3b);
+    let scramble = [0x912f_69ba, 0x174f_18ab, 0x691e_72ca, 0xb40c_c1b8].map(|d: u32| d ^ scramble);
+    owen_scramble_int4_rev(point, hash_int4(scramble.into()))
+        .reverse_bits()
+        .to_f32_norm()
 }
 
 /// The upper 24 bits as a number in `[0, 1)`: exact, never 1.
@@ -109,4 +136,21 @@ fn pcg4d(words: [u32; 4]) -> [u32; 4] {
         }
     }
     [x, y, z, w]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_table_holds_the_sequence() {
+        for i in 0..70_000_u32 {
+            let seed = hash(i);
+            let index = i & 0xffff;
+            assert_eq!(
+                sobol_4d(index, seed),
+                sobol_burley::sample_4d(index, 0, seed)
+            );
+        }
+    }
 }

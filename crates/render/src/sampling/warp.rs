@@ -24,12 +24,17 @@ pub fn sin_cos_turns(turns: f32) -> (f32, f32) {
     let x = turns * 4.0;
     let quadrant = (x + 0.5) as u32;
     let (sin, cos) = sin_cos_eighth(x - quadrant as f32);
-    match quadrant & 3 {
-        0 => (sin, cos),
-        1 => (cos, -sin),
-        2 => (-sin, -cos),
-        _ => (-cos, sin),
-    }
+    // Odd quadrants swap the two, the signs follow the bits of the quadrant: no branch that chance would mislead.
+    let (sin, cos) = if quadrant & 1 == 0 {
+        (sin, cos)
+    } else {
+        (cos, sin)
+    };
+    let flip = |x: f32, bit: u32| f32::from_bits(x.to_bits() ^ (bit << 31));
+    (
+        flip(sin, quadrant >> 1 & 1),
+        flip(cos, (quadrant + 1) >> 1 & 1),
+    )
 }
 
 /// Two unit vectors that make a right-handed frame with the unit vector `z`: `x × y = z`. (Duff et al., JCGT 2017.)
@@ -49,15 +54,13 @@ pub fn basis(z: Vec3) -> (Vec3, Vec3) {
 pub fn disk(u: Vec2) -> Vec2 {
     let a = 2.0 * u.x - 1.0;
     let b = 2.0 * u.y - 1.0;
-    if a.abs() > b.abs() {
-        let (sin, cos) = sin_cos_eighth(0.5 * (b / a));
-        Vec2::new(a * cos, a * sin)
-    } else if b != 0.0 {
-        let (sin, cos) = sin_cos_eighth(0.5 * (a / b));
-        Vec2::new(b * sin, b * cos)
-    } else {
-        Vec2::ZERO
-    }
+    // The longer coordinate is the radius; selections instead of branches, which chance would mislead.
+    let swap = b.abs() > a.abs();
+    let (radius, other) = if swap { (b, a) } else { (a, b) };
+    let quotient = if radius == 0.0 { 0.0 } else { other / radius };
+    let (sin, cos) = sin_cos_eighth(0.5 * quotient);
+    let (x, y) = if swap { (sin, cos) } else { (cos, sin) };
+    Vec2::new(radius * x, radius * y)
 }
 
 /// A direction about +z, in proportion to its cosine (Malley's method over [`disk`]). `z` may be 0 by rounding.
