@@ -205,7 +205,8 @@ const SHEEN_NODES: usize = 24;
 static SHEEN: LazyLock<Box<[[f32; SHEEN_NODES]; SHEEN_NODES]>> = LazyLock::new(|| {
     let mut table = Box::new([[0.0; SHEEN_NODES]; SHEEN_NODES]);
     for (r, row) in table.iter_mut().enumerate() {
-        let roughness = (r as f32 / (SHEEN_NODES - 1) as f32).max(SHEEN_ROUGHNESS_MIN);
+        let roughness =
+            SHEEN_ROUGHNESS_MIN + (1.0 - SHEEN_ROUGHNESS_MIN) * r as f32 / (SHEEN_NODES - 1) as f32;
         for (m, node) in row.iter_mut().enumerate() {
             let root = m as f32 / (SHEEN_NODES - 1) as f32;
             *node = integrate_sheen(roughness, root * root, 32);
@@ -242,7 +243,8 @@ pub(super) fn sheen_albedo(roughness: f32, cos: f32) -> f32 {
         (i, x - i as f32)
     };
     let (i, s) = cell(cos.clamp(0.0, 1.0).sqrt());
-    let (k, t) = cell(roughness.clamp(0.0, 1.0));
+    let (k, t) =
+        cell(((roughness - SHEEN_ROUGHNESS_MIN) / (1.0 - SHEEN_ROUGHNESS_MIN)).clamp(0.0, 1.0));
     let lerp = |a: f32, b: f32, t: f32| a + (b - a) * t;
     lerp(
         lerp(table[k][i], table[k][i + 1], s),
