@@ -373,16 +373,15 @@ fn primitive_bytes(source: &Source, primitive: &document::Primitive) -> u64 {
             claimed.min(source.total_bytes())
         }
     };
-    let attributes = primitive.attributes.values().map(|a| 16 * count(a));
-    let targets = primitive
-        .targets
-        .iter()
-        .flat_map(|t| t.values())
-        .map(|a| 12 * count(a));
     let corners = match &primitive.indices {
         Some(indices) => count(indices),
         None => primitive.attributes.get("POSITION").map_or(0, count),
     };
+    // Vertices that no corner names are dropped, so an array that many primitives share is not paid for by each.
+    let vertices = |accessor: &u32| count(accessor).min(corners);
+    let attributes = primitive.attributes.values().map(|a| 16 * vertices(a));
+    let targets = primitive.targets.iter().flat_map(|t| t.values());
+    let targets = targets.map(|a| 12 * vertices(a));
     let per_corner = if primitive.mode.unwrap_or(4) == 4 {
         8
     } else {
