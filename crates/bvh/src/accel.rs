@@ -222,7 +222,10 @@ impl Refs {
         Self::join(parts)
     }
 
-    fn join(parts: Vec<Self>) -> Self {
+    fn join(mut parts: Vec<Self>) -> Self {
+        if parts.len() == 1 {
+            return parts.pop().unwrap_or_default();
+        }
         let mut all = Self::default();
         all.refs
             .reserve_exact(parts.iter().map(|p| p.refs.len()).sum::<usize>());
@@ -505,6 +508,30 @@ impl Accel {
         (!self.top.bounds.is_empty()).then_some((self.top.bounds.lower, self.top.bounds.upper))
     }
 
+    /// Each kind of structure has a function of its own: loops of several kinds in one function share registers badly.
+    #[inline(always)]
+    fn trace<F: HitFilter, const ANY: bool>(&self, query: &Query<F>, found: &mut Found) -> bool {
+        macro_rules! by_kind {
+            ($isa:ty) => {
+                match (self.has_placed(), self.is_watertight()) {
+                    (false, false) => <$isa>::trace::<F, ANY, false, false>(query, found),
+                    (false, true) => <$isa>::trace::<F, ANY, false, true>(query, found),
+                    (true, false) => <$isa>::trace::<F, ANY, true, false>(query, found),
+                    (true, true) => <$isa>::trace::<F, ANY, true, true>(query, found),
+                }
+            };
+        }
+        // SAFETY: `simd` is only ever what `Simd::detect` found or the portable code; the trees were built by this crate,
+        // and the constants say what the structure holds.
+        unsafe {
+            match self.simd {
+                #[cfg(target_arch = "x86_64")]
+                Simd::Avx2 => by_kind!(Avx2),
+                _ => by_kind!(Portable),
+            }
+        }
+    }
+
     /// The nearest hit with `t_min < t < t_max`.
     #[inline]
     pub fn closest(&self, ray: &Ray, filter: &impl HitFilter) -> Option<Hit> {
@@ -514,14 +541,7 @@ impl Accel {
             filter,
         };
         let mut found = Found::nothing(ray);
-        // SAFETY: `simd` is only ever what `Simd::detect` found or the portable code; the trees were built by this crate.
-        let any = unsafe {
-            match self.simd {
-                #[cfg(target_arch = "x86_64")]
-                Simd::Avx2 => Avx2::trace::<_, false>(&query, &mut found),
-                _ => Portable::trace::<_, false>(&query, &mut found),
-            }
-        };
+        let any = self.trace::<_, false>(&query, &mut found);
         any.then(|| self.hit(&found))
     }
 
@@ -534,14 +554,7 @@ impl Accel {
             filter,
         };
         let mut found = Found::nothing(ray);
-        // SAFETY: as in `closest`.
-        let any = unsafe {
-            match self.simd {
-                #[cfg(target_arch = "x86_64")]
-                Simd::Avx2 => Avx2::trace::<_, true>(&query, &mut found),
-                _ => Portable::trace::<_, true>(&query, &mut found),
-            }
-        };
+        let any = self.trace::<_, true>(&query, &mut found);
         any.then_some(Blocker {
             placed: found.placed,
             block: found.block,
@@ -580,7 +593,7 @@ impl Accel {
         } else {
             return false;
         };
-        // SAFETY: as in `closest`.
+        // SAFETY: as in `trace`.
         unsafe {
             match self.simd {
                 #[cfg(target_arch = "x86_64")]
@@ -596,7 +609,7 @@ impl Accel {
     /// If the slices differ in length.
     pub fn occluded_batch(&self, rays: &[Ray], occluded: &mut [bool], filter: &impl HitFilter) {
         assert_eq!(rays.len(), occluded.len());
-        // SAFETY: as in `closest`.
+        // SAFETY: as in `trace`.
         unsafe {
             match self.simd {
                 #[cfg(target_arch = "x86_64")]
@@ -612,7 +625,7 @@ impl Accel {
     /// If the slices differ in length.
     pub fn closest_batch(&self, rays: &[Ray], hits: &mut [Option<Hit>], filter: &impl HitFilter) {
         assert_eq!(rays.len(), hits.len());
-        // SAFETY: as in `closest`.
+        // SAFETY: as in `trace`.
         unsafe {
             match self.simd {
                 #[cfg(target_arch = "x86_64")]

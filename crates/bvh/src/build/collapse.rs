@@ -9,7 +9,7 @@
 //! distribute(n, i) = min over 0 < k < i of C(left, k) + C(right, i - k)
 //! ```
 
-use super::sah::Binary;
+use super::sah::{Binary, Node2};
 use super::{Triangles, bounds_of, half_area, write_blocks};
 use crate::buffer::Buffer;
 use crate::node::{Block, Child, LANES, MAX_DEPTH, MAX_LEAF_BLOCKS, Node, Tree, WIDTH};
@@ -24,7 +24,7 @@ const INSTANCE_COST: f32 = 3.0;
 /// Most triangles that are considered for one leaf.
 const MAX_LEAF: usize = 2 * LANES;
 const _: () = assert!(MAX_LEAF <= LANES * MAX_LEAF_BLOCKS);
-/// Subtrees with more references are written by several threads.
+/// Subtrees with more references, and more than a sixteenth of all, are written by several threads.
 const PARALLEL: usize = 1 << 15;
 
 /// Decisions of one binary node.
@@ -87,69 +87,81 @@ pub(crate) fn cost(tree: &Tree) -> f32 {
     NODE_COST + (below / f64::from(root)) as f32
 }
 
-/// Least costs from the leaves up; children stand after their parents, so backwards is upwards.
+/// What is known of a binary node when its parent is looked at.
+#[derive(Clone, Copy)]
+struct Known {
+    costs: Costs,
+    /// Is a placed instance among the references below?
+    placed: bool,
+}
+
+/// Least costs from the leaves up, backwards over pairs of siblings. Pairs stand after their parents, and all below a left
+/// child before all below its sibling: so what a pair needs lies on top of a stack, the left child's pair first.
 fn choose(binary: &Binary) -> Buffer<Choice> {
     let nodes = &binary.nodes;
-    let mut costs = Buffer::<Costs>::zeroed(nodes.len());
     let mut choices = Buffer::<Choice>::zeroed(nodes.len());
-    // Number of the first reference below each node is needed only to keep placed instances out of shared leaves.
-    let has_placed = binary.refs.iter().any(|r| r.is_placed());
-    let mut placed_below = vec![false; if has_placed { nodes.len() } else { 0 }];
-    for n in (0..nodes.len()).rev() {
+    let mut waiting: Vec<[Known; 2]> = Vec::new();
+    let mut know = |n: usize, waiting: &mut Vec<[Known; 2]>| {
         let node = &nodes[n];
-        let area = half_area(&node.hull);
-        let count = node.count();
-        if count == 1 {
+        if node.count() == 1 {
             let placed = binary.refs[node.link()].is_placed();
-            if has_placed {
-                placed_below[n] = placed;
-            }
             let weight = if placed { INSTANCE_COST } else { BLOCK_COST };
-            costs[n] = [area * weight; WIDTH - 1];
-            continue;
+            let costs = [half_area(&node.hull) * weight; WIDTH - 1];
+            return Known { costs, placed };
         }
-        let (left, right) = (node.link(), node.link() + 1);
-        let leaf_allowed = if has_placed {
-            placed_below[n] = placed_below[left] || placed_below[right];
-            count <= MAX_LEAF && !placed_below[n]
-        } else {
-            count <= MAX_LEAF
-        };
-        let (l, r) = (&costs[left], &costs[right]);
-        let distribute = |children: usize| {
-            let (mut best, mut to_left) = (f32::INFINITY, 0);
-            for k in 1..children {
-                let c = l[k.min(WIDTH - 1) - 1] + r[(children - k).min(WIDTH - 1) - 1];
-                if c < best {
-                    (best, to_left) = (c, k as u8);
-                }
-            }
-            (best, to_left)
-        };
-        let choice = &mut choices[n];
-        let (below, to_left) = distribute(WIDTH);
-        choice[WIDTH - 1] = to_left;
-        let as_node = area * NODE_COST + below;
-        let as_leaf = if leaf_allowed {
-            area * BLOCK_COST * count.div_ceil(LANES) as f32
-        } else {
-            f32::INFINITY
-        };
-        let mut cost = [0.0; WIDTH - 1];
-        choice[0] = u8::from(as_node < as_leaf || !leaf_allowed);
-        cost[0] = if choice[0] == 1 { as_node } else { as_leaf };
-        for i in 2..WIDTH {
-            let (c, to_left) = distribute(i);
-            if c < cost[i - 2] {
-                cost[i - 1] = c;
-                choice[i - 1] = to_left;
-            } else {
-                cost[i - 1] = cost[i - 2];
-            }
-        }
-        costs[n] = cost;
+        let below = waiting.pop().expect("a pair is below every inner node");
+        choose_one(node, &below, &mut choices[n])
+    };
+    for left in (1..nodes.len()).step_by(2).rev() {
+        let l = know(left, &mut waiting);
+        let r = know(left + 1, &mut waiting);
+        waiting.push([l, r]);
     }
+    know(0, &mut waiting);
     choices
+}
+
+/// The choice of an inner node.
+#[inline(always)]
+fn choose_one(node: &Node2, below: &[Known; 2], choice: &mut Choice) -> Known {
+    let area = half_area(&node.hull);
+    let count = node.count();
+    let [l, r] = below;
+    let placed = l.placed || r.placed;
+    let (l, r) = (&l.costs, &r.costs);
+    let distribute = |children: usize| {
+        let (mut best, mut to_left) = (f32::INFINITY, 0);
+        for k in 1..children {
+            let c = l[k.min(WIDTH - 1) - 1] + r[(children - k).min(WIDTH - 1) - 1];
+            if c < best {
+                (best, to_left) = (c, k as u8);
+            }
+        }
+        (best, to_left)
+    };
+    let (cost_below, to_left) = distribute(WIDTH);
+    choice[WIDTH - 1] = to_left;
+    let as_node = area * NODE_COST + cost_below;
+    // Placed instances share no leaf.
+    let leaf_allowed = count <= MAX_LEAF && !placed;
+    let as_leaf = if leaf_allowed {
+        area * BLOCK_COST * count.div_ceil(LANES) as f32
+    } else {
+        f32::INFINITY
+    };
+    let mut costs = [0.0; WIDTH - 1];
+    choice[0] = u8::from(as_node < as_leaf || !leaf_allowed);
+    costs[0] = if choice[0] == 1 { as_node } else { as_leaf };
+    for i in 2..WIDTH {
+        let (c, to_left) = distribute(i);
+        if c < costs[i - 2] {
+            costs[i - 1] = c;
+            choice[i - 1] = to_left;
+        } else {
+            costs[i - 1] = costs[i - 2];
+        }
+    }
+    Known { costs, placed }
 }
 
 struct Collapser<'a, T> {
@@ -223,7 +235,11 @@ impl<T: Triangles> Collapser<'_, T> {
             blocks: Vec::new(),
             depth: 0,
         };
-        if self.binary.nodes[n].count() <= PARALLEL {
+        let count = self.binary.nodes[n].count();
+        if count <= PARALLEL.max(self.binary.refs.len() / 16) {
+            // About what full nodes and nearly full blocks need.
+            out.nodes.reserve(count / 20);
+            out.blocks.reserve(count / 3);
             self.write_here(n, 1, &mut out);
             return out;
         }

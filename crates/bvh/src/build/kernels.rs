@@ -115,6 +115,8 @@ fn blocks(count: usize) -> f32 {
 /// What the inner loops do to single references. Every kind gives the same results.
 pub(super) trait Arithmetic {
     fn union(a: &Hull, b: &Hull) -> Hull;
+    /// The union, or `a` unless `condition`.
+    fn union_if(condition: bool, a: &Hull, b: &Hull) -> Hull;
     fn bins_of(grid: &Grid, hull: &Hull) -> [usize; 3];
     fn centre(hull: &Hull) -> Hull;
 }
@@ -197,6 +199,7 @@ fn partition<A: Arithmetic>(
 ) -> Split {
     let mut centres = [EMPTY_HULL; 2];
     let (mut left, mut right) = (0, 0);
+    let [left_centres, right_centres] = &mut centres;
     for i in 0..refs.len() {
         let r = refs[i];
         let goes_right = grid.bin_of(&r.hull, plane.axis) >= plane.bin;
@@ -206,8 +209,8 @@ fn partition<A: Arithmetic>(
         left += usize::from(!goes_right);
         right += usize::from(goes_right);
         let c = A::centre(&r.hull);
-        let side = &mut centres[usize::from(goes_right)];
-        *side = A::union(side, &c);
+        *left_centres = A::union_if(!goes_right, left_centres, &c);
+        *right_centres = A::union_if(goes_right, right_centres, &c);
     }
     refs[left..].copy_from_slice(&scratch[..right]);
     Split {
@@ -222,21 +225,36 @@ fn partition<A: Arithmetic>(
 fn sweep<A: Arithmetic>(refs: &mut [Ref]) -> Option<Split> {
     let n = refs.len();
     debug_assert!((2..=SMALL).contains(&n));
+    if let [left, right] = refs {
+        // There is one way only.
+        return Some(Split {
+            at: 1,
+            hulls: [left.hull, right.hull],
+            centres: [EMPTY_HULL; 2],
+        });
+    }
     let mut best = f32::INFINITY;
     let mut found = None;
     for axis in 0..3 {
-        let mut order = [0u8; SMALL];
-        let mut keys = [0.0f32; SMALL];
-        for (i, r) in refs.iter().enumerate() {
-            let key = r.hull[axis] - r.hull[axis + 4];
-            let mut j = i;
-            while j > 0 && keys[j - 1] > key {
-                keys[j] = keys[j - 1];
-                order[j] = order[j - 1];
-                j -= 1;
+        let mut keys = [f32::INFINITY; SMALL];
+        for (key, r) in keys.iter_mut().zip(refs.iter()) {
+            *key = r.hull[axis] - r.hull[axis + 4];
+        }
+        // Sorting by counting what comes before: nothing to mispredict.
+        let mut before = [0u32; SMALL];
+        for i in 0..SMALL {
+            for j in 0..SMALL {
+                let precedes = if i < j {
+                    keys[i] <= keys[j]
+                } else {
+                    keys[i] < keys[j]
+                };
+                before[j] += u32::from(precedes);
             }
-            keys[j] = key;
-            order[j] = i as u8;
+        }
+        let mut order = [0u8; SMALL];
+        for (i, before) in before.into_iter().enumerate() {
+            order[before as usize % SMALL] = i as u8;
         }
         let mut right = [EMPTY_HULL; SMALL + 1];
         for i in (1..n).rev() {
@@ -272,6 +290,10 @@ impl Arithmetic for Portable {
     #[inline(always)]
     fn union(a: &Hull, b: &Hull) -> Hull {
         portable_union(a, b)
+    }
+    #[inline(always)]
+    fn union_if(condition: bool, a: &Hull, b: &Hull) -> Hull {
+        portable_union(a, if condition { b } else { &EMPTY_HULL })
     }
     #[inline(always)]
     fn bins_of(grid: &Grid, hull: &Hull) -> [usize; 3] {
@@ -330,6 +352,16 @@ impl Arithmetic for Avx2 {
     fn union(a: &Hull, b: &Hull) -> Hull {
         // SAFETY: only the kernels below come here, and those have AVX2.
         Self::store(unsafe { _mm256_min_ps(Self::load(a), Self::load(b)) })
+    }
+    #[inline(always)]
+    fn union_if(condition: bool, a: &Hull, b: &Hull) -> Hull {
+        // SAFETY: as above.
+        unsafe {
+            let keep = _mm256_castsi256_ps(_mm256_set1_epi32(-i32::from(condition)));
+            let infinity = _mm256_set1_ps(f32::INFINITY);
+            let b = _mm256_blendv_ps(infinity, Self::load(b), keep);
+            Self::store(_mm256_min_ps(Self::load(a), b))
+        }
     }
     #[inline(always)]
     fn bins_of(grid: &Grid, hull: &Hull) -> [usize; 3] {

@@ -1,7 +1,7 @@
 //! AVX2 and FMA: a node in six fused multiply-adds, a block in one pass.
 
 use super::{
-    Edges, Found, Isa, Lanes, Query, Reciprocal, Scope, Slabs, Stack, entry_points, portable,
+    Edges, Found, Isa, Lanes, Query, Reciprocal, Scope, Slabs, Stack, entry, entry_points, portable,
 };
 use crate::accel::Accel;
 use crate::filter::HitFilter;
@@ -18,23 +18,14 @@ impl Isa for Avx2 {
 
     #[inline(always)]
     unsafe fn prefetch(tree: &Tree, child: Child) {
-        let (start, lines) = if child.is_leaf() && child.is_instance() {
-            (tree.nodes.as_ptr().cast::<i8>(), 1)
-        } else if child.is_leaf() {
-            (
-                tree.blocks
-                    .as_ptr()
-                    .wrapping_add(child.index())
-                    .cast::<i8>(),
-                3,
-            )
-        } else {
-            (
-                tree.nodes.as_ptr().wrapping_add(child.index()).cast::<i8>(),
-                4,
-            )
-        };
-        for line in 0..lines {
+        let node = tree.nodes.as_ptr().wrapping_add(child.index()).cast::<i8>();
+        let block = tree
+            .blocks
+            .as_ptr()
+            .wrapping_add(child.index())
+            .cast::<i8>();
+        let start = std::hint::select_unpredictable(child.is_leaf(), block, node);
+        for line in 0..4 {
             // SAFETY: a prefetch touches no memory that the program could observe, whatever the address.
             unsafe { _mm_prefetch::<_MM_HINT_T0>(start.wrapping_add(64 * line)) };
         }
@@ -64,64 +55,6 @@ pub(crate) struct Avx2Slabs {
     far_scale: [__m256; 3],
     t_min: __m256,
     entering: [usize; 3],
-}
-
-/// For each mask of lanes those lanes, the highest first.
-static LANES_OF: [u64; 256] = {
-    let mut table = [0; 256];
-    let mut mask = 0;
-    while mask < 256 {
-        let (mut lane, mut at) = (WIDTH, 0);
-        while lane > 0 {
-            lane -= 1;
-            if mask >> lane & 1 == 1 {
-                table[mask] |= (lane as u64) << (8 * at);
-                at += 1;
-            }
-        }
-        mask += 1;
-    }
-    table
-};
-
-/// Sorts eight signed integers, the largest first: Batcher's bitonic network.
-#[inline(always)]
-unsafe fn sort_descending(v: __m256i) -> __m256i {
-    // SAFETY: the processor has AVX2, as promised by the caller.
-    unsafe {
-        macro_rules! exchange {
-            ($v:expr, $other:expr, $larger:literal) => {{
-                let (v, other) = ($v, $other);
-                _mm256_blend_epi32::<$larger>(
-                    _mm256_min_epi32(v, other),
-                    _mm256_max_epi32(v, other),
-                )
-            }};
-        }
-        let v = exchange!(v, _mm256_shuffle_epi32::<0b10_11_00_01>(v), 0b0101_0101);
-        let v = exchange!(v, _mm256_shuffle_epi32::<0b00_01_10_11>(v), 0b0011_0011);
-        let v = exchange!(v, _mm256_shuffle_epi32::<0b10_11_00_01>(v), 0b0101_0101);
-        let swapped = _mm256_permute4x64_epi64::<0b01_00_11_10>(v);
-        let v = exchange!(
-            v,
-            _mm256_shuffle_epi32::<0b00_01_10_11>(swapped),
-            0b0000_1111
-        );
-        let v = exchange!(v, _mm256_shuffle_epi32::<0b01_00_11_10>(v), 0b0011_0011);
-        exchange!(v, _mm256_shuffle_epi32::<0b10_11_00_01>(v), 0b0101_0101)
-    }
-}
-
-/// The smallest of eight unsigned integers.
-#[inline(always)]
-unsafe fn smallest(v: __m256i) -> u32 {
-    // SAFETY: the processor has AVX2, as promised by the caller.
-    unsafe {
-        let v = _mm_min_epu32(_mm256_castsi256_si128(v), _mm256_extracti128_si256::<1>(v));
-        let v = _mm_min_epu32(v, _mm_shuffle_epi32::<0b01_00_11_10>(v));
-        let v = _mm_min_epu32(v, _mm_shuffle_epi32::<0b10_11_00_01>(v));
-        _mm_cvtsi128_si32(v) as u32
-    }
 }
 
 impl Avx2Slabs {
@@ -183,57 +116,77 @@ impl Slabs for Avx2Slabs {
     }
 
     #[inline(always)]
-    unsafe fn nearest(&self, node: &Node, t_max: f32, stack: &mut Stack) -> Child {
-        // SAFETY: the processor has AVX2 and there is room, as promised by the caller.
+    unsafe fn nearest<I: Isa>(
+        &self,
+        tree: &Tree,
+        node: &Node,
+        t_max: f32,
+        stack: &mut Stack,
+    ) -> Child {
+        // SAFETY: the processor has AVX2 and there is room, as promised by the caller; lanes are below 8.
         unsafe {
             let (near, met) = self.test(node, t_max);
-            let mask = _mm256_movemask_ps(met) as u32;
+            let mut mask = _mm256_movemask_ps(met) as u32;
             if mask == 0 {
                 return stack.pop(t_max);
             }
-            // Distances are not negative, so that their bits order as integers. The lowest three hold the lane; lanes that
-            // are not met become all ones: the largest unsigned number and the smallest signed one.
-            let lanes = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
-            let noise = _mm256_set1_epi32(super::NOISE as i32);
-            let keys =
-                _mm256_or_si256(_mm256_andnot_si256(noise, _mm256_castps_si256(near)), lanes);
-            let missed = _mm256_xor_si256(_mm256_castps_si256(met), _mm256_set1_epi32(-1));
-            let keys = _mm256_or_si256(keys, missed);
-            // All but the nearest wait; the nearest is written above them and not counted.
-            let sorted = sort_descending(keys);
-            let children = _mm256_load_si256(node.children.as_ptr().cast());
-            let sorted_children = _mm256_permutevar8x32_epi32(children, sorted);
-            let at = stack.waiting + 1;
-            _mm256_storeu_si256(stack.near.as_mut_ptr().add(at).cast(), sorted);
-            _mm256_storeu_si256(stack.children.as_mut_ptr().add(at).cast(), sorted_children);
-            stack.waiting += mask.count_ones() as usize - 1;
-            *node
-                .children
-                .get_unchecked((smallest(keys) & super::NOISE) as usize)
+            let first = mask.trailing_zeros() as usize;
+            mask &= mask - 1;
+            if mask == 0 {
+                return *node.children.get_unchecked(first);
+            }
+            let mut distances = [0.0; WIDTH];
+            _mm256_storeu_ps(distances.as_mut_ptr(), near);
+            let entry = |lane: usize| {
+                entry(
+                    *distances.get_unchecked(lane),
+                    *node.children.get_unchecked(lane),
+                )
+            };
+            let a = entry(first);
+            let b = entry(mask.trailing_zeros() as usize);
+            mask &= mask - 1;
+            let (nearest, other) = (a.min(b), a.max(b));
+            if mask == 0 {
+                stack.push(other);
+                I::prefetch(tree, Child(other as u32));
+                return Child(nearest as u32);
+            }
+            let base = stack.waiting;
+            stack.push(other);
+            stack.push(nearest);
+            while mask != 0 {
+                let lane = mask.trailing_zeros() as usize;
+                mask &= mask - 1;
+                stack.insert(base, entry(lane));
+            }
+            let next = stack.pop_any();
+            I::prefetch(tree, stack.top());
+            next
         }
     }
 
     #[inline(always)]
-    unsafe fn any(&self, node: &Node, t_max: f32, stack: &mut Stack) -> Child {
-        // SAFETY: the processor has AVX2 and there is room, as promised by the caller.
+    unsafe fn any<I: Isa>(&self, tree: &Tree, node: &Node, t_max: f32, stack: &mut Stack) -> Child {
+        // SAFETY: the processor has AVX2 and there is room, as promised by the caller; lanes are below 8.
         unsafe {
             let (_, met) = self.test(node, t_max);
-            let mask = _mm256_movemask_ps(met) as u32;
-            let waiting = stack.waiting;
-            let from_stack = stack.children.get_unchecked(waiting).assume_init();
-            let first = (mask | 1 << (WIDTH - 1)).trailing_zeros() as usize;
-            let from_node = *node.children.get_unchecked(first);
-            let rest = mask & mask.wrapping_sub(1);
-            let lanes =
-                _mm256_cvtepu8_epi32(_mm_cvtsi64_si128(LANES_OF[rest as usize & 255] as i64));
-            let children = _mm256_load_si256(node.children.as_ptr().cast());
-            let children = _mm256_permutevar8x32_epi32(children, lanes);
-            let at = waiting + 1;
-            _mm256_storeu_si256(stack.children.as_mut_ptr().add(at).cast(), children);
-            stack.waiting = waiting
-                .wrapping_add(mask.count_ones() as usize)
-                .wrapping_sub(1);
-            std::hint::select_unpredictable(mask == 0, from_stack, from_node)
+            let mut mask = _mm256_movemask_ps(met) as u32;
+            if mask == 0 {
+                return stack.pop_any();
+            }
+            let first = mask.trailing_zeros() as usize;
+            let next = *node.children.get_unchecked(first);
+            mask &= mask - 1;
+            // From the highest lane down, so that the lowest comes first.
+            while mask != 0 {
+                let lane = 31 - mask.leading_zeros();
+                mask ^= 1 << lane;
+                let child = *node.children.get_unchecked(lane as usize);
+                stack.push(u64::from(child.0));
+                I::prefetch(tree, child);
+            }
+            next
         }
     }
 }

@@ -10,7 +10,7 @@ mod portable;
 
 use crate::accel::Accel;
 use crate::filter::HitFilter;
-use crate::node::{Block, Child, FILTERED, LANES, NO_TRIANGLE, Node, STACK, Tree, WIDTH};
+use crate::node::{Block, Child, FILTERED, LANES, NO_TRIANGLE, Node, STACK, Tree};
 use occlude_visibility::{Hit, Ray};
 use std::mem::MaybeUninit;
 
@@ -110,34 +110,33 @@ pub(crate) struct Lanes {
     pub v: [f32; LANES],
 }
 
-/// Children that wait, the next on top, in two columns so that eight can be written at once.
+/// Children that wait, the next on top.
 ///
-/// At the bottom lies [`Child::NONE`] at distance 0, twice: popping it ends the walk, and there is still something on top.
+/// An entry is the bits of the distance where the ray enters the box, above the child: entries order as distances do. At the
+/// bottom lies [`Child::NONE`] at distance 0: popping it ends the walk.
 pub(crate) struct Stack {
-    /// Bits of the distance where the ray enters the box, the lowest three bits being noise.
-    near: [MaybeUninit<u32>; STACK],
-    children: [MaybeUninit<Child>; STACK],
+    entries: [MaybeUninit<u64>; STACK],
     /// Entries in use above the bottom.
     waiting: usize,
 }
 
-/// Low bits of a distance on the stack that mean nothing.
-const NOISE: u32 = WIDTH as u32 - 1;
+/// An entry of a [`Stack`]; the distance is not negative.
+#[inline(always)]
+fn entry(near: f32, child: Child) -> u64 {
+    u64::from(near.to_bits()) << 32 | u64::from(child.0)
+}
 
 impl Stack {
     /// Puts the bottom in; in place, since a stack is too large to be moved for every ray.
     #[inline(always)]
     fn start(stack: &mut MaybeUninit<Self>) -> &mut Self {
         let start = stack.as_mut_ptr();
-        // SAFETY: `waiting` is all that must be initialised before the stack is borrowed; the columns may be uninitialised.
+        // SAFETY: `waiting` is all that must be initialised before the stack is borrowed; entries may be uninitialised.
         let stack = unsafe {
-            (&raw mut (*start).waiting).write(1);
+            (&raw mut (*start).waiting).write(0);
             &mut *start
         };
-        for bottom in 0..2 {
-            stack.near[bottom].write(0);
-            stack.children[bottom].write(Child::NONE);
-        }
+        stack.entries[0].write(entry(0.0, Child::NONE));
         stack
     }
 
@@ -149,25 +148,12 @@ impl Stack {
     unsafe fn pop(&mut self, t_max: f32) -> Child {
         loop {
             // SAFETY: entries up to `waiting` were written, and the one at the bottom is never rejected.
-            unsafe {
-                let near = self.near.get_unchecked(self.waiting).assume_init();
-                let child = self.children.get_unchecked(self.waiting).assume_init();
-                self.waiting -= 1;
-                if f32::from_bits(near & !NOISE) <= t_max {
-                    return child;
-                }
+            let entry = unsafe { self.entries.get_unchecked(self.waiting).assume_init() };
+            self.waiting = self.waiting.wrapping_sub(1);
+            if f32::from_bits((entry >> 32) as u32) <= t_max {
+                return Child(entry as u32);
             }
         }
-    }
-
-    /// What waits on top.
-    ///
-    /// # Safety
-    /// The walk has not ended.
-    #[inline(always)]
-    unsafe fn top(&self) -> Child {
-        // SAFETY: entries up to `waiting` were written.
-        unsafe { self.children.get_unchecked(self.waiting).assume_init() }
     }
 
     /// The next child, when distances are not kept.
@@ -177,20 +163,49 @@ impl Stack {
     #[inline(always)]
     unsafe fn pop_any(&mut self) -> Child {
         // SAFETY: entries up to `waiting` were written.
-        let child = unsafe { self.children.get_unchecked(self.waiting).assume_init() };
-        self.waiting -= 1;
-        child
+        let entry = unsafe { self.entries.get_unchecked(self.waiting).assume_init() };
+        self.waiting = self.waiting.wrapping_sub(1);
+        Child(entry as u32)
+    }
+
+    /// What waits on top.
+    ///
+    /// # Safety
+    /// The walk has not ended.
+    #[inline(always)]
+    unsafe fn top(&self) -> Child {
+        // SAFETY: entries up to `waiting` were written.
+        Child(unsafe { self.entries.get_unchecked(self.waiting).assume_init() } as u32)
     }
 
     /// # Safety
     /// There is room.
     #[inline(always)]
-    unsafe fn push(&mut self, near: u32, child: Child) {
+    unsafe fn push(&mut self, entry: u64) {
         self.waiting += 1;
         // SAFETY: as promised by the caller.
+        unsafe { self.entries.get_unchecked_mut(self.waiting).write(entry) };
+    }
+
+    /// Adds an entry below those above `base` that are nearer.
+    ///
+    /// # Safety
+    /// There is room; entries above `base` are in order.
+    #[inline(always)]
+    unsafe fn insert(&mut self, base: usize, entry: u64) {
+        self.waiting += 1;
+        let mut at = self.waiting;
+        // SAFETY: as promised by the caller; entries up to the old top were written.
         unsafe {
-            self.near.get_unchecked_mut(self.waiting).write(near);
-            self.children.get_unchecked_mut(self.waiting).write(child);
+            while at > base + 1 {
+                let below = self.entries.get_unchecked(at - 1).assume_init();
+                if below >= entry {
+                    break;
+                }
+                self.entries.get_unchecked_mut(at).write(below);
+                at -= 1;
+            }
+            self.entries.get_unchecked_mut(at).write(entry);
         }
     }
 }
@@ -209,14 +224,20 @@ pub(crate) trait Slabs: Sized {
     ///
     /// # Safety
     /// The processor has the features of the [`Isa`]; the stack has room for all children.
-    unsafe fn nearest(&self, node: &Node, t_max: f32, stack: &mut Stack) -> Child;
+    unsafe fn nearest<I: Isa>(
+        &self,
+        tree: &Tree,
+        node: &Node,
+        t_max: f32,
+        stack: &mut Stack,
+    ) -> Child;
 
     /// Some child that the ray meets before `t_max`, the others go on the stack. If there is none, the next from the
     /// stack. Distances are not kept.
     ///
     /// # Safety
     /// The processor has the features of the [`Isa`]; the stack has room for all children.
-    unsafe fn any(&self, node: &Node, t_max: f32, stack: &mut Stack) -> Child;
+    unsafe fn any<I: Isa>(&self, tree: &Tree, node: &Node, t_max: f32, stack: &mut Stack) -> Child;
 }
 
 /// What [`Slabs`] need to know of a ray.
@@ -281,8 +302,12 @@ pub(crate) trait Isa {
     /// Asks the memory for a child that waits.
     unsafe fn prefetch(tree: &Tree, child: Child);
 
-    /// Traces through the top tree and what it holds.
-    unsafe fn trace<F: HitFilter, const ANY: bool>(query: &Query<F>, found: &mut Found) -> bool;
+    /// Traces through the top tree and what it holds: with `TOP` placed instances too, with `WATERTIGHT` blocks for the
+    /// watertight test.
+    unsafe fn trace<F: HitFilter, const ANY: bool, const TOP: bool, const WATERTIGHT: bool>(
+        query: &Query<F>,
+        found: &mut Found,
+    ) -> bool;
     /// Traces through a placed instance.
     unsafe fn enter<F: HitFilter, const ANY: bool>(
         query: &Query<F>,
@@ -317,7 +342,7 @@ fn is_valid(ray: &Ray) -> bool {
 
 /// [`Isa::trace`], to be compiled under the features of `I`.
 #[inline(always)]
-unsafe fn trace<I: Isa, F: HitFilter, const ANY: bool>(
+unsafe fn trace<I: Isa, F: HitFilter, const ANY: bool, const TOP: bool, const WATERTIGHT: bool>(
     query: &Query<F>,
     found: &mut Found,
 ) -> bool {
@@ -327,11 +352,22 @@ unsafe fn trace<I: Isa, F: HitFilter, const ANY: bool>(
         placed: BY_ID,
     };
     // SAFETY: as promised by the caller.
+    unsafe { start::<I, F, ANY, TOP, WATERTIGHT>(query, &scope, found) }
+}
+
+/// [`trace`] with whatever the structure holds.
+#[inline(always)]
+unsafe fn trace_any_kind<I: Isa, F: HitFilter, const ANY: bool>(
+    query: &Query<F>,
+    found: &mut Found,
+) -> bool {
+    // SAFETY: as promised by the caller.
     unsafe {
-        if query.accel.has_placed() {
-            start::<I, F, ANY, true>(query, &scope, found)
-        } else {
-            start::<I, F, ANY, false>(query, &scope, found)
+        match (query.accel.has_placed(), query.accel.is_watertight()) {
+            (false, false) => trace::<I, F, ANY, false, false>(query, found),
+            (false, true) => trace::<I, F, ANY, false, true>(query, found),
+            (true, false) => trace::<I, F, ANY, true, false>(query, found),
+            (true, true) => trace::<I, F, ANY, true, true>(query, found),
         }
     }
 }
@@ -350,11 +386,17 @@ unsafe fn enter<I: Isa, F: HitFilter, const ANY: bool>(
         placed,
     };
     // SAFETY: as promised by the caller.
-    unsafe { start::<I, F, ANY, false>(query, &scope, found) }
+    unsafe {
+        if query.accel.is_watertight() {
+            start::<I, F, ANY, false, true>(query, &scope, found)
+        } else {
+            start::<I, F, ANY, false, false>(query, &scope, found)
+        }
+    }
 }
 
 #[inline(always)]
-unsafe fn start<I: Isa, F: HitFilter, const ANY: bool, const TOP: bool>(
+unsafe fn start<I: Isa, F: HitFilter, const ANY: bool, const TOP: bool, const WATERTIGHT: bool>(
     query: &Query<F>,
     scope: &Scope,
     found: &mut Found,
@@ -365,7 +407,7 @@ unsafe fn start<I: Isa, F: HitFilter, const ANY: bool, const TOP: bool>(
     // SAFETY: as promised by the caller.
     unsafe {
         let slabs = I::Slabs::new(scope.ray);
-        if query.accel.is_watertight() {
+        if WATERTIGHT {
             let edges = I::Tight::new(scope.ray);
             walk::<I, _, F, ANY, TOP, true>(query, scope, &slabs, &edges, found)
         } else {
@@ -404,11 +446,10 @@ unsafe fn walk<
             while !current.is_leaf() {
                 let node = &*nodes.add(current.0 as usize);
                 current = if ANY {
-                    slabs.any(node, found.t, stack)
+                    slabs.any::<I>(tree, node, found.t, stack)
                 } else {
-                    slabs.nearest(node, found.t, stack)
+                    slabs.nearest::<I>(tree, node, found.t, stack)
                 };
-                I::prefetch(tree, stack.top());
             }
             if current.is_instance() {
                 if current == Child::NONE {
@@ -523,7 +564,7 @@ unsafe fn occluded_batch<I: Isa, F: HitFilter>(
     for (ray, answer) in rays.iter().zip(occluded) {
         let query = Query { accel, ray, filter };
         // SAFETY: as promised by the caller.
-        *answer = unsafe { trace::<I, F, true>(&query, &mut Found::nothing(ray)) };
+        *answer = unsafe { trace_any_kind::<I, F, true>(&query, &mut Found::nothing(ray)) };
     }
 }
 
@@ -539,7 +580,8 @@ unsafe fn closest_batch<I: Isa, F: HitFilter>(
         let query = Query { accel, ray, filter };
         let mut found = Found::nothing(ray);
         // SAFETY: as promised by the caller.
-        *answer = unsafe { trace::<I, F, false>(&query, &mut found) }.then(|| accel.hit(&found));
+        *answer =
+            unsafe { trace_any_kind::<I, F, false>(&query, &mut found) }.then(|| accel.hit(&found));
     }
 }
 
@@ -547,9 +589,12 @@ unsafe fn closest_batch<I: Isa, F: HitFilter>(
 macro_rules! entry_points {
     ($($feature:literal)?) => {
         $(#[target_feature(enable = $feature)])?
-        unsafe fn trace<F: HitFilter, const ANY: bool>(query: &Query<F>, found: &mut Found) -> bool {
+        unsafe fn trace<F: HitFilter, const ANY: bool, const TOP: bool, const WATERTIGHT: bool>(
+            query: &Query<F>,
+            found: &mut Found,
+        ) -> bool {
             // SAFETY: as promised by the caller.
-            unsafe { super::trace::<Self, F, ANY>(query, found) }
+            unsafe { super::trace::<Self, F, ANY, TOP, WATERTIGHT>(query, found) }
         }
         $(#[target_feature(enable = $feature)])?
         unsafe fn enter<F: HitFilter, const ANY: bool>(query: &Query<F>, placed: u32, found: &mut Found) -> bool {

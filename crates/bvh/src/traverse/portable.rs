@@ -1,6 +1,8 @@
 //! Plain Rust, for any processor. The compiler vectorises what it can.
 
-use super::{Edges, Found, Isa, Lanes, Query, Reciprocal, Scope, Slabs, Stack, entry_points};
+use super::{
+    Edges, Found, Isa, Lanes, Query, Reciprocal, Scope, Slabs, Stack, entry, entry_points,
+};
 use crate::accel::Accel;
 use crate::filter::HitFilter;
 use crate::node::{Block, Child, LANES, Node, Tree, WIDTH};
@@ -73,37 +75,32 @@ impl Slabs for PortableSlabs {
     }
 
     #[inline(always)]
-    unsafe fn nearest(&self, node: &Node, t_max: f32, stack: &mut Stack) -> Child {
+    unsafe fn nearest<I: Isa>(
+        &self,
+        _: &Tree,
+        node: &Node,
+        t_max: f32,
+        stack: &mut Stack,
+    ) -> Child {
         let (mut met, near) = self.test(node, t_max);
         let base = stack.waiting;
         while met != 0 {
             let lane = met.trailing_zeros() as usize;
             met &= met - 1;
-            // SAFETY: there is room, as promised by the caller; entries above `base` were written here.
-            unsafe {
-                stack.push(near[lane].to_bits(), node.children[lane]);
-                // Insertion: the nearest on top.
-                let mut at = stack.waiting;
-                while at > base + 1
-                    && stack.near[at - 1].assume_init() < stack.near[at].assume_init()
-                {
-                    stack.near.swap(at - 1, at);
-                    stack.children.swap(at - 1, at);
-                    at -= 1;
-                }
-            }
+            // SAFETY: there is room, as promised by the caller; entries above `base` were inserted here.
+            unsafe { stack.insert(base, entry(near[lane], node.children[lane])) };
         }
         // SAFETY: the bottom is there.
         unsafe { stack.pop(t_max) }
     }
 
     #[inline(always)]
-    unsafe fn any(&self, node: &Node, t_max: f32, stack: &mut Stack) -> Child {
+    unsafe fn any<I: Isa>(&self, _: &Tree, node: &Node, t_max: f32, stack: &mut Stack) -> Child {
         let (met, _) = self.test(node, t_max);
         for lane in (0..WIDTH).rev() {
             if met >> lane & 1 == 1 {
                 // SAFETY: there is room, as promised by the caller.
-                unsafe { stack.push(0, node.children[lane]) };
+                unsafe { stack.push(entry(0.0, node.children[lane])) };
             }
         }
         // SAFETY: the bottom is there.
