@@ -16,7 +16,7 @@
 //! A bin whose ray went free forgets its blocker: lit places then pay for a table look-up only, not for a triangle test.
 //!
 //! Measured on path tracing with 8 scattering events, 256 x 256 pixels, 9 samples: of all questions memory answers 38 % in
-//! `sponza` (one sun, half of all blocked rays; time 0.9 to 1.0 of `Exact`), 15 to 23 % in `apartment` (thousands of point
+//! `sponza` (one sun, half of all blocked rays; time 0.9 to 1.1 of `Exact`), 15 to 23 % in `apartment` (thousands of point
 //! lights) and 8 % in `white_room` (large area lights; both take 1.2 times as long as `Exact`). So it pays where rays are
 //! dear and lights are few and small, or with a slow tracer. Larger tables answer more and take longer.
 //!

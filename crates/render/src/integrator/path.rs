@@ -51,6 +51,9 @@ struct Path {
     parallel: bool,
     /// Length of the way from where the direction was chosen to the ray's origin.
     travelled: f32,
+    /// Product of the squared ratios of refractive index: what refraction took from `throughput` only to give it back when
+    /// the path leaves the body. Roulette looks at the throughput without it.
+    squeezed: f32,
     /// Some event so far was not a mirror.
     blurred: bool,
     /// Absorption per metre of what the ray is in.
@@ -114,6 +117,7 @@ pub(super) fn render_unit<'a, V: Visibility<Geometry<'a>>>(
             direction_density: camera.pixel_density,
             parallel: camera.parallel,
             travelled: 0.0,
+            squeezed: 1.0,
             blurred: false,
             absorption: Vec3::ZERO,
             features: Features::default(),
@@ -416,8 +420,9 @@ fn shade_hit(
         }
     }
     path.throughput *= sample.weight;
+    path.squeezed *= sample.eta2;
     if !passed && path.depth >= ROULETTE_AFTER {
-        let survival = path.throughput.max_element().min(1.0);
+        let survival = (path.throughput.max_element() * path.squeezed).min(1.0);
         if roulette >= survival {
             return false;
         }
