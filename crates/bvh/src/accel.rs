@@ -6,6 +6,8 @@ use crate::input::{BuildError, BuildOptions, Flatten, InstanceInput, MeshInput};
 use crate::node::{Bounds, FILTERED, MAX_TRIANGLES, NO_TRIANGLE, Tree};
 #[cfg(target_arch = "x86_64")]
 use crate::traverse::Avx2;
+#[cfg(target_arch = "aarch64")]
+use crate::traverse::Neon;
 use crate::traverse::{BY_ID, Found, Isa, Portable, Query, Scope, Simd};
 use glam::{Affine3A, Vec3};
 use occlude_visibility::{Hit, Ray};
@@ -527,6 +529,8 @@ impl Accel {
             match self.simd {
                 #[cfg(target_arch = "x86_64")]
                 Simd::Avx2 => by_kind!(Avx2),
+                #[cfg(target_arch = "aarch64")]
+                Simd::Neon => by_kind!(Neon),
                 _ => by_kind!(Portable),
             }
         }
@@ -598,6 +602,8 @@ impl Accel {
             match self.simd {
                 #[cfg(target_arch = "x86_64")]
                 Simd::Avx2 => Avx2::block(&query, &scope, blocker.block),
+                #[cfg(target_arch = "aarch64")]
+                Simd::Neon => Neon::block(&query, &scope, blocker.block),
                 _ => Portable::block(&query, &scope, blocker.block),
             }
         }
@@ -614,6 +620,8 @@ impl Accel {
             match self.simd {
                 #[cfg(target_arch = "x86_64")]
                 Simd::Avx2 => Avx2::occluded_batch(self, rays, filter, occluded),
+                #[cfg(target_arch = "aarch64")]
+                Simd::Neon => Neon::occluded_batch(self, rays, filter, occluded),
                 _ => Portable::occluded_batch(self, rays, filter, occluded),
             }
         }
@@ -630,6 +638,8 @@ impl Accel {
             match self.simd {
                 #[cfg(target_arch = "x86_64")]
                 Simd::Avx2 => Avx2::closest_batch(self, rays, filter, hits),
+                #[cfg(target_arch = "aarch64")]
+                Simd::Neon => Neon::closest_batch(self, rays, filter, hits),
                 _ => Portable::closest_batch(self, rays, filter, hits),
             }
         }

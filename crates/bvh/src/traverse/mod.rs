@@ -6,6 +6,8 @@
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;
+#[cfg(target_arch = "aarch64")]
+mod neon;
 mod portable;
 
 use crate::accel::Accel;
@@ -16,6 +18,8 @@ use std::mem::MaybeUninit;
 
 #[cfg(target_arch = "x86_64")]
 pub(crate) use avx2::Avx2;
+#[cfg(target_arch = "aarch64")]
+pub(crate) use neon::Neon;
 pub(crate) use portable::Portable;
 
 /// The instructions that rays are traced with.
@@ -40,6 +44,10 @@ impl Simd {
             && std::arch::is_x86_feature_detected!("bmi2")
         {
             return Self::Avx2;
+        }
+        #[cfg(target_arch = "aarch64")]
+        if cfg!(target_endian = "little") && std::arch::is_aarch64_feature_detected!("neon") {
+            return Self::Neon;
         }
         Self::Portable
     }
@@ -172,6 +180,7 @@ impl Stack {
     ///
     /// # Safety
     /// The walk has not ended.
+    #[cfg_attr(not(target_arch = "x86_64"), allow(dead_code))]
     #[inline(always)]
     unsafe fn top(&self) -> Child {
         // SAFETY: entries up to `waiting` were written.
@@ -300,6 +309,7 @@ pub(crate) trait Isa {
     type Tight: Edges<true>;
 
     /// Asks the memory for a child that waits.
+    #[cfg_attr(not(target_arch = "x86_64"), allow(dead_code))]
     unsafe fn prefetch(tree: &Tree, child: Child);
 
     /// Traces through the top tree and what it holds: with `TOP` placed instances too, with `WATERTIGHT` blocks for the
