@@ -345,6 +345,7 @@ impl Edges<true> for TightEdges {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::buffer::Buffer;
     use crate::node::Bounds;
     use crate::traverse::Portable;
     use glam::Vec3;
@@ -356,8 +357,8 @@ mod tests {
         let mut stack = MaybeUninit::uninit();
         let stack = Stack::start(&mut stack);
         let tree = Tree {
-            nodes: Default::default(),
-            blocks: Default::default(),
+            nodes: Buffer::zeroed(0),
+            blocks: Buffer::zeroed(0),
             bounds: Bounds::EMPTY,
             depth: 0,
             built_cost: 0.0,
