@@ -1,5 +1,5 @@
-//! NEON of aarch64: a node in two halves of four boxes, a block in one pass. The same arithmetic as with AVX2 and FMA, so
-//! the same hits.
+//! NEON of aarch64: a node in two halves of four boxes, a block in one pass. Rounds where AVX2 with FMA
+//! rounds. Tested under an emulator only, never timed.
 
 use super::{
     Edges, Found, Isa, Lanes, Query, Reciprocal, Scope, Slabs, Stack, entry, entry_points, portable,
