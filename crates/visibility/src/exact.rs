@@ -1,6 +1,9 @@
 //! Exact visibility: every question is a ray.
 
-use crate::{Class, Query, Ray, Tracer, Visibility, VisibilityStats};
+use crate::{
+    BLOCK, Class, EyeSample, ManyLights, Query, Ray, SharedLight, Tracer, Visibility,
+    VisibilityStats,
+};
 
 /// Traces every query. The baseline that every other strategy is measured against.
 #[derive(Clone, Copy, Debug, Default)]
@@ -11,6 +14,7 @@ pub struct Exact;
 pub struct ExactWorker {
     rays: Vec<Ray>,
     occluded: Vec<bool>,
+    askers: Vec<u32>,
     stats: VisibilityStats,
 }
 
@@ -41,6 +45,43 @@ impl<T: Tracer> Visibility<T> for Exact {
         }
         worker.stats.queries += queries.len() as u64;
         worker.stats.traced += queries.len() as u64;
+    }
+
+    /// Traces light by light: the rays of neighbouring eyes towards one light are the most coherent ones.
+    fn answer_many(
+        &self,
+        tracer: &T,
+        worker: &mut ExactWorker,
+        eyes: &[EyeSample],
+        lights: &[SharedLight],
+        asker: &mut dyn ManyLights,
+    ) {
+        let mut wanted = vec![0u16; eyes.len()];
+        let mut answers = vec![[0.0; BLOCK]; eyes.len()];
+        for (block, lights) in lights.chunks(BLOCK).enumerate() {
+            wanted.fill(0);
+            asker.wanted(block, &mut wanted);
+            answers.fill([0.0; BLOCK]);
+            for (l, light) in lights.iter().enumerate() {
+                worker.rays.clear();
+                worker.askers.clear();
+                for (e, eye) in eyes.iter().enumerate() {
+                    if wanted[e] >> l & 1 != 0 {
+                        worker.askers.push(e as u32);
+                        worker.rays.push(light.ray_from(eye.origin));
+                    }
+                }
+                worker.occluded.clear();
+                worker.occluded.resize(worker.rays.len(), false);
+                tracer.occluded_batch(&worker.rays, &mut worker.occluded);
+                for (&e, &occluded) in worker.askers.iter().zip(&worker.occluded) {
+                    answers[e as usize][l] = if occluded { 0.0 } else { 1.0 };
+                }
+                worker.stats.queries += worker.rays.len() as u64;
+                worker.stats.traced += worker.rays.len() as u64;
+            }
+            asker.take(block, &wanted, &answers);
+        }
     }
 
     fn stats(&self, worker: &ExactWorker) -> VisibilityStats {

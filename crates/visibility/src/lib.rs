@@ -43,13 +43,16 @@
 //! `docs/integrating.md` in the repository goes through the steps of an integration.
 
 mod exact;
+mod many;
 mod occluder;
+pub mod order;
 mod query;
 mod session;
 mod stats;
 mod tracer;
 
 pub use exact::{Exact, ExactWorker};
+pub use many::{BLOCK, BlockAnswers, EyeSample, ManyLights, SharedLight};
 pub use occluder::{Occluder, OccluderWorker};
 pub use query::{Class, Endpoint, Epoch, LightEnd, Query, Visibility};
 pub use session::Session;

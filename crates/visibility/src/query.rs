@@ -1,6 +1,7 @@
 //! Visibility questions and the strategies that answer them.
 
-use crate::{Ray, Tracer, VisibilityStats};
+use crate::many::bits;
+use crate::{BLOCK, EyeSample, ManyLights, Ray, SharedLight, Tracer, VisibilityStats};
 use glam::Vec3;
 
 /// The eye end of a question: a surface point that wants to know who sees it.
@@ -147,6 +148,42 @@ pub trait Visibility<T: Tracer>: Sync {
     /// # Panics
     /// If the slices differ in length.
     fn answer(&self, tracer: &T, worker: &mut Self::Worker, queries: &[Query], answers: &mut [f32]);
+
+    /// Answers what many eyes ask about the same lights, block by block.
+    ///
+    /// Give neighbouring eyes soon after each other; lights that stand near each other belong into one block. Strategies
+    /// that profit override this; by default every question is written out and goes through [`Visibility::answer`].
+    fn answer_many(
+        &self,
+        tracer: &T,
+        worker: &mut Self::Worker,
+        eyes: &[EyeSample],
+        lights: &[SharedLight],
+        asker: &mut dyn ManyLights,
+    ) {
+        let mut wanted = vec![0u16; eyes.len()];
+        let mut answers = vec![[0.0; BLOCK]; eyes.len()];
+        let (mut queries, mut flat) = (Vec::new(), Vec::new());
+        for (block, lights) in lights.chunks(BLOCK).enumerate() {
+            wanted.fill(0);
+            asker.wanted(block, &mut wanted);
+            queries.clear();
+            for (eye, &mask) in eyes.iter().zip(&wanted) {
+                queries.extend(bits(mask).map(|l| lights[l].query(eye)));
+            }
+            flat.clear();
+            flat.resize(queries.len(), 0.0);
+            self.answer(tracer, worker, &queries, &mut flat);
+            let mut flat = flat.iter();
+            for (answers, &mask) in answers.iter_mut().zip(&wanted) {
+                *answers = [0.0; BLOCK];
+                for (l, answer) in bits(mask).zip(&mut flat) {
+                    answers[l] = *answer;
+                }
+            }
+            asker.take(block, &wanted, &answers);
+        }
+    }
 
     /// The counters of a worker.
     fn stats(&self, worker: &Self::Worker) -> VisibilityStats;

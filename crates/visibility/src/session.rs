@@ -1,6 +1,8 @@
 //! One thread's conversation with a strategy, for embedders.
 
-use crate::{Epoch, Query, Tracer, Visibility, VisibilityStats};
+use crate::{
+    Epoch, EyeSample, ManyLights, Query, SharedLight, Tracer, Visibility, VisibilityStats,
+};
 
 /// A tracer, a strategy and the state of one worker, held together: the short way in for embedders.
 ///
@@ -35,6 +37,17 @@ impl<'a, T: Tracer, V: Visibility<T>> Session<'a, T, V> {
     pub fn answer(&mut self, queries: &[Query], answers: &mut [f32]) {
         self.strategy
             .answer(self.tracer, &mut self.worker, queries, answers);
+    }
+
+    /// Answers what many eyes ask about the same lights; see [`Visibility::answer_many`].
+    pub fn answer_many(
+        &mut self,
+        eyes: &[EyeSample],
+        lights: &[SharedLight],
+        asker: &mut dyn ManyLights,
+    ) {
+        self.strategy
+            .answer_many(self.tracer, &mut self.worker, eyes, lights, asker);
     }
 
     /// Answers one question. Batches are faster.

@@ -1,0 +1,80 @@
+//! Many eyes that ask about the same lights.
+//!
+//! Instant radiosity, sky samples and scenes with a few lights ask about *all* lights at *every* eye. Written down one by
+//! one, such questions take more time than their answers. So eyes and lights are given once, and a strategy asks back block
+//! by block of [`BLOCK`] lights: which of them matter to which eye, and what to do with the answers.
+
+use crate::{Endpoint, LightEnd, Query, Ray};
+use glam::Vec3;
+
+/// Lights that are answered together: the bits of a `u16`.
+pub const BLOCK: usize = 16;
+
+/// Answers of one eye about one block of lights.
+pub type BlockAnswers = [f32; BLOCK];
+
+/// An eye that asks about many lights.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EyeSample {
+    /// The eye end; its normal is on the side that all connections leave.
+    pub end: Endpoint,
+    /// Where rays start: the position, moved off its surface.
+    pub origin: Vec3,
+}
+
+/// A light that many eyes ask about.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SharedLight {
+    /// The light end.
+    pub end: LightEnd,
+    /// Where rays end: a point moved off the light's surface, or `None` for a light infinitely far away.
+    pub target: Option<Vec3>,
+    /// See [`Query::connections`]: the number of lights of this technique, for ends with a density.
+    pub connections: f32,
+}
+
+impl SharedLight {
+    /// The ray that answers an eye's question about the light.
+    pub fn ray_from(&self, origin: Vec3) -> Ray {
+        match (self.target, self.end) {
+            (Some(target), _) => Ray::between(origin, target),
+            (None, LightEnd::Point(position)) => Ray::between(origin, position),
+            (None, LightEnd::Surface(end)) => Ray::between(origin, end.position),
+            (None, LightEnd::Direction(direction) | LightEnd::SolidAngle { direction, .. }) => {
+                Ray::new(origin, direction)
+            }
+        }
+    }
+
+    /// The question that one eye asks about the light.
+    pub fn query(&self, eye: &EyeSample) -> Query {
+        Query {
+            eye: eye.end,
+            light: self.end,
+            connections: self.connections,
+            ray: self.ray_from(eye.origin),
+        }
+    }
+}
+
+/// Whoever asks about many lights; called back by [`Visibility::answer_many`](crate::Visibility::answer_many) once for every
+/// block of lights, first [`wanted`](Self::wanted), then [`take`](Self::take).
+pub trait ManyLights {
+    /// Says which lights of block `block` (lights `block * BLOCK` and on) matter to which eye: bit `l` of `wanted[e]` is
+    /// set if eye `e` asks about the block's light `l`. Bits beyond the last light must be 0. `wanted` comes zeroed.
+    fn wanted(&mut self, block: usize, wanted: &mut [u16]);
+
+    /// Takes the answers about block `block`: `answers[e][l]` estimates the visibility of light `l` from eye `e`, 0 where it
+    /// was not wanted.
+    fn take(&mut self, block: usize, wanted: &[u16], answers: &[BlockAnswers]);
+}
+
+/// The numbers of the bits that are set.
+pub(crate) fn bits(mut mask: u16) -> impl Iterator<Item = usize> {
+    std::iter::from_fn(move || {
+        let bit = mask.trailing_zeros() as usize;
+        mask &= mask.wrapping_sub(1);
+        (bit < BLOCK).then_some(bit)
+    })
+}
