@@ -17,6 +17,9 @@ pub enum PixelFilter {
 }
 
 impl PixelFilter {
+    const GAUSSIAN_SIGMA: f32 = 0.5;
+    const GAUSSIAN_RADIUS: f32 = 1.5;
+
     /// Maps a uniform point of the unit square to an offset from the pixel's centre, in pixels (filter importance
     /// sampling: the samples carry equal weights).
     pub fn offset(self, u: Vec2) -> Vec2 {
@@ -33,12 +36,48 @@ impl PixelFilter {
                 Vec2::new(tent(u.x), tent(u.y))
             }
             Self::Gaussian => {
-                const SIGMA: f32 = 0.5;
-                const RADIUS: f32 = 1.5;
+                const SIGMA: f32 = PixelFilter::GAUSSIAN_SIGMA;
+                const RADIUS: f32 = PixelFilter::GAUSSIAN_RADIUS;
                 // Box-Muller with the radius cut so that it never exceeds RADIUS.
                 let kept = 1.0 - (-RADIUS * RADIUS / (2.0 * SIGMA * SIGMA)).exp();
                 let radius = SIGMA * (-2.0 * (1.0 - u.x * kept).ln()).sqrt();
                 radius * Vec2::from_angle(std::f32::consts::TAU * u.y)
+            }
+        }
+    }
+}
+
+impl PixelFilter {
+    /// How far from a pixel's centre samples spread at most, in pixels along each axis.
+    pub fn radius(self) -> f32 {
+        match self {
+            Self::Box => 0.5,
+            Self::Tent => 1.0,
+            Self::Gaussian => Self::GAUSSIAN_RADIUS,
+        }
+    }
+
+    /// Density of [`PixelFilter::offset`] per square pixel. The box holds its lower edges only, so that every point of the
+    /// picture lies in one pixel.
+    pub fn density(self, offset: Vec2) -> f32 {
+        match self {
+            Self::Box => {
+                let inside = |x: f32| (-0.5..0.5).contains(&x);
+                f32::from(u8::from(inside(offset.x) && inside(offset.y)))
+            }
+            Self::Tent => {
+                let tent = |x: f32| (1.0 - x.abs()).max(0.0);
+                tent(offset.x) * tent(offset.y)
+            }
+            Self::Gaussian => {
+                let variance = Self::GAUSSIAN_SIGMA * Self::GAUSSIAN_SIGMA;
+                let inside = |r2: f32| (-r2 / (2.0 * variance)).exp();
+                let edge = Self::GAUSSIAN_RADIUS * Self::GAUSSIAN_RADIUS;
+                let r2 = offset.length_squared();
+                if r2 > edge {
+                    return 0.0;
+                }
+                inside(r2) / (std::f32::consts::TAU * variance * (1.0 - inside(edge)))
             }
         }
     }
@@ -70,6 +109,19 @@ impl CameraRay {
         let across = if self.parallel { 1.0 } else { t * t };
         self.pixel_density * self.ray.direction.dot(normal).abs() / across
     }
+}
+
+/// Where the camera sees a point, if nothing is in the way.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Projected {
+    /// The point of the picture in pixels, as [`View::ray`] takes it. It may lie outside of the picture.
+    pub point: Vec2,
+    /// Unit vector from the point to the camera.
+    pub toward_camera: Vec3,
+    /// The end of the line of sight.
+    pub eye: Vec3,
+    /// Pixels per square metre of a surface there that faces the camera.
+    pub density: f32,
 }
 
 impl View {
@@ -180,6 +232,41 @@ impl View {
             parallel,
         }
     }
+
+    /// Where the camera sees a point: the inverse of [`View::ray`]. `None` behind the camera.
+    pub fn project(&self, point: Vec3) -> Option<Projected> {
+        // A camera's frame is a rotation, so the inverse is the transpose.
+        let to = Vec3A::from(point) - self.world_from_camera.translation;
+        let local = self.world_from_camera.matrix3.transpose() * to;
+        let depth = -local.z;
+        if depth.is_nan() || depth <= 0.0 {
+            return None;
+        }
+        let (width, height) = (self.width as f32, self.height as f32);
+        let (x, y) = match self.projection {
+            Projection::Perspective { yfov } => {
+                let half = (yfov * 0.5).tan() * depth;
+                (local.x / half, local.y / half)
+            }
+            Projection::Orthographic { ymag } => (local.x / ymag, local.y / ymag),
+        };
+        let seen = Vec2::new((x * height + width) * 0.5, (1.0 - y) * height * 0.5);
+        if !seen.is_finite() {
+            return None;
+        }
+        let camera = self.ray(seen);
+        let (toward_camera, across) = if camera.parallel {
+            (-camera.ray.direction, 1.0)
+        } else {
+            (Vec3::from(-to).normalize_or_zero(), to.length_squared())
+        };
+        Some(Projected {
+            point: seen,
+            toward_camera,
+            eye: camera.ray.origin,
+            density: camera.pixel_density / across,
+        })
+    }
 }
 
 #[cfg(test)]
@@ -211,6 +298,59 @@ mod tests {
             .map(|p| 1.0 / f64::from(view.ray(p).pixel_density))
             .sum();
         assert!((angle - 4.0 * std::f64::consts::PI / 6.0).abs() < 1e-3);
+    }
+
+    #[test]
+    fn projection_inverts_rays() {
+        let eye = Vec3::new(3.0, 1.0, -2.0);
+        let mut view = View::look_at(eye, Vec3::new(0.5, 0.2, 0.1), 0.8, 64, 40).unwrap();
+        for projection in [view.projection, Projection::Orthographic { ymag: 1.5 }] {
+            view.projection = projection;
+            for i in 0..200u32 {
+                let point = Vec2::new((i % 13) as f32 * 6.0 - 4.0, (i % 17) as f32 * 3.0 - 3.0);
+                let camera = view.ray(point);
+                let t = 0.3 + i as f32 * 0.1;
+                let seen = view.project(camera.ray.at(t)).unwrap();
+                assert!((seen.point - point).length() < 2e-3, "{seen:?} {point}");
+                assert!((seen.toward_camera + camera.ray.direction).length() < 1e-5);
+                assert!((seen.eye - camera.ray.origin).length() < 1e-4);
+                let facing = camera.density_at(t, camera.ray.direction);
+                assert!((seen.density / facing - 1.0).abs() < 1e-3);
+                assert!(view.project(camera.ray.at(-t)).is_none());
+            }
+        }
+    }
+
+    /// Shares of offsets against the density's integral over cells.
+    #[test]
+    fn filter_densities_are_those_of_the_offsets() {
+        for filter in [PixelFilter::Box, PixelFilter::Tent, PixelFilter::Gaussian] {
+            let (cells, fine, n) = (12, 16, 400u32);
+            let side = 2.0 * filter.radius() / cells as f32;
+            let cell = |x: f32| (((x + filter.radius()) / side) as usize).min(cells - 1);
+            let mut found = vec![0.0; cells * cells];
+            for i in 0..n * n {
+                let u = Vec2::new((i % n) as f32 + 0.5, (i / n) as f32 + 0.5) / n as f32;
+                let offset = filter.offset(u);
+                found[cell(offset.y) * cells + cell(offset.x)] += 1.0 / f64::from(n * n);
+            }
+            for (i, found) in found.iter().enumerate() {
+                let corner =
+                    Vec2::new((i % cells) as f32, (i / cells) as f32) * side - filter.radius();
+                let expected: f64 = (0..fine * fine)
+                    .map(|k| {
+                        let inner = Vec2::new((k % fine) as f32 + 0.5, (k / fine) as f32 + 0.5);
+                        let at = corner + inner * (side / fine as f32);
+                        f64::from(filter.density(at) * side * side)
+                            / f64::from((fine * fine) as u32)
+                    })
+                    .sum();
+                assert!(
+                    (found - expected).abs() < 0.001,
+                    "{filter:?} cell {i}: {found} {expected}"
+                );
+            }
+        }
     }
 
     #[test]

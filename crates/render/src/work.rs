@@ -78,13 +78,13 @@ impl Work {
     pub fn merge(mut parts: Vec<(Film, Self)>) -> Result<(Film, Self), MergeError> {
         for (part, (film, work)) in parts.iter().enumerate() {
             let (first_film, first) = &parts[0];
-            let same_film = (film.width(), film.height(), film.has_features())
-                == (
-                    first_film.width(),
-                    first_film.height(),
-                    first_film.has_features(),
-                );
-            if !same_film || (work.fingerprint, work.total) != (first.fingerprint, first.total) {
+            let kind = |film: &Film| {
+                let layers = (film.has_features(), film.has_splats());
+                (film.width(), film.height(), layers)
+            };
+            if kind(film) != kind(first_film)
+                || (work.fingerprint, work.total) != (first.fingerprint, first.total)
+            {
                 return Err(MergeError::OtherWork { part });
             }
             let (done, wanted) = (film.min_samples(), work.samples.len() as u32);

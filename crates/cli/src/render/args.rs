@@ -119,7 +119,7 @@ pub struct RenderArgs {
     )]
     pub sun: Option<Sun>,
 
-    /// path: all light paths; direct: light that comes straight from lights; ao: ambient occlusion, white surfaces in an even sky
+    /// path: all light paths; bidirectional: the same from both ends, for caustics and light that comes by detours; direct: light that comes straight from lights; ao: ambient occlusion, white surfaces in an even sky
     #[arg(long, value_enum, default_value_t = Integrator::Path, help_heading = "Work")]
     pub integrator: Integrator,
 
@@ -184,6 +184,13 @@ impl RenderArgs {
                 "not built in yet",
                 "--denoise",
                 "render more samples, or denoise the EXR (with --aov albedo,normal) in another program",
+            ));
+        }
+        if self.regularize && self.integrator == Integrator::Bidirectional {
+            return Err(CliError::input(
+                "no blur for bidirectional paths",
+                "--regularize",
+                "leave it out: light paths find caustics sharp",
             ));
         }
         if self.output.is_empty() {
@@ -278,6 +285,8 @@ fn tone_maps() -> impl TypedValueParser<Value = ToneMap> {
 pub enum Integrator {
     /// All light paths up to --max-depth
     Path,
+    /// All light paths up to --max-depth, from camera and lights
+    Bidirectional,
     /// Direct light alone
     Direct,
     /// Ambient occlusion

@@ -9,13 +9,16 @@ use crate::context::Context;
 use crate::error::CliError;
 use crate::inspect::counts;
 use crate::picture::Finish;
+use crate::values::Size;
 use crate::{VERSION, merge, output, signals, stats};
 use args::{Filter, Integrator, Sampler, Strategy};
 use occlude_image::{Depth, Look, Picture};
 use occlude_render::camera::{PixelFilter, View};
 use occlude_render::film::Film;
 use occlude_render::geometry::Geometry;
-use occlude_render::integrator::{self, PathLimits, RenderSettings, StoppedBy, World, render};
+use occlude_render::integrator::{
+    self, BidirectionalLimits, PathLimits, RenderSettings, StoppedBy, World, render,
+};
 use occlude_render::sampling::SamplerKind;
 use occlude_render::work::{Work, shard_samples};
 use occlude_scene::{Pose, Scene};
@@ -33,7 +36,11 @@ pub fn run(mut args: RenderArgs, context: &mut Context) -> Result<(), CliError> 
     let (scene, sky) = context.phase("load", |context| load(&args, context))?;
     let pose = Pose::at(&scene, args.time);
     let view = view(&args, &scene, &pose)?;
-    let film_bytes = Film::bytes(args.size.width, args.size.height, args.records_features());
+    let Size { width, height } = args.size;
+    let mut film_bytes = Film::bytes(width, height, args.records_features());
+    if args.integrator == Integrator::Bidirectional {
+        film_bytes = film_bytes.saturating_add(Film::splat_bytes(width, height));
+    }
     if context
         .common
         .memory
@@ -195,6 +202,9 @@ fn settings(args: &RenderArgs, seed: u64) -> RenderSettings {
                 max_depth: args.max_depth,
                 regularize: args.regularize,
             }),
+            Integrator::Bidirectional => {
+                integrator::Integrator::Bidirectional(BidirectionalLimits::new(args.max_depth))
+            }
             Integrator::Direct => {
                 integrator::Integrator::Path(PathLimits::new(args.max_depth.min(1)))
             }

@@ -1,9 +1,10 @@
 //! Films as files: checkpoints and shards.
 //!
-//! Layout, little-endian: 8 bytes magic, `u64` length of a JSON header, the header, then radiance, squares, samples and
-//! features as flat arrays. The header says which work the film belongs to (a fingerprint) and which samples it holds;
+//! Layout, little-endian: 8 bytes magic, `u64` length of a JSON header, the header, then radiance, squares, samples,
+//! features and splats as flat arrays. The header says which work the film belongs to (a fingerprint) and which samples it holds;
 //! who reads a film for another work gets an error, not a wrong picture.
 
+use super::splats::SplatSums;
 use super::{FeatureSums, Film, FixedSum};
 use serde::{Deserialize, Serialize};
 use std::io::{Read, Write};
@@ -30,6 +31,8 @@ struct Header<M> {
     width: u32,
     height: u32,
     features: bool,
+    #[serde(default)]
+    splats: bool,
     dropped: u64,
     meta: M,
 }
@@ -41,6 +44,7 @@ impl Film {
             width: self.width,
             height: self.height,
             features: self.has_features(),
+            splats: self.has_splats(),
             dropped: self.dropped,
             meta,
         };
@@ -53,6 +57,9 @@ impl Film {
         out.write_all(bytemuck::cast_slice(&self.samples))?;
         if let Some(features) = &self.features {
             out.write_all(bytemuck::cast_slice(features))?;
+        }
+        if let Some(splats) = &self.splats {
+            out.write_all(bytemuck::cast_slice(splats))?;
         }
         Ok(())
     }
@@ -77,7 +84,14 @@ impl Film {
         source.read_exact(&mut header)?;
         let header: Header<M> = serde_json::from_slice(&header)
             .map_err(|_| FilmError::Damaged("film header is damaged or of another version"))?;
-        if Film::bytes(header.width, header.height, header.features).saturating_add(length + 16)
+        let splat_bytes = if header.splats {
+            Film::splat_bytes(header.width, header.height)
+        } else {
+            0
+        };
+        if Film::bytes(header.width, header.height, header.features)
+            .saturating_add(splat_bytes)
+            .saturating_add(length + 16)
             != available
         {
             return Err(FilmError::Damaged("film file is cut short or too long"));
@@ -91,6 +105,12 @@ impl Film {
         source.read_exact(bytemuck::cast_slice_mut(&mut film.samples))?;
         if let Some(features) = &mut film.features {
             source.read_exact(bytemuck::cast_slice_mut::<FeatureSums, u8>(features))?;
+        }
+        if header.splats {
+            film.enable_splats();
+        }
+        if let Some(splats) = &mut film.splats {
+            source.read_exact(bytemuck::cast_slice_mut::<SplatSums, u8>(splats))?;
         }
         Ok((film, header.meta))
     }
@@ -110,6 +130,12 @@ mod tests {
             Vec3::new(0.1, 7.0, 3e5),
             Some(&super::super::Features::default()),
         );
+        film.enable_splats();
+        film.splat(&super::super::Splat {
+            x: 1,
+            y: 1,
+            radiance: Vec3::new(2.0, 0.0, 1.5),
+        });
         let mut bytes = Vec::new();
         film.write(&"meta".to_string(), &mut bytes).unwrap();
         let (read, meta): (Film, String) =

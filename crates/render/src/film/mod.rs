@@ -6,12 +6,15 @@
 mod file;
 mod fixed;
 mod layers;
+mod splats;
 
 pub use file::FilmError;
 pub use fixed::FixedSum;
 pub use layers::Aovs;
+pub use splats::Splat;
 
 use glam::Vec3;
+use splats::SplatSums;
 
 /// Weights of linear Rec. 709 red, green and blue in luminance.
 pub const LUMINANCE: Vec3 = Vec3::new(0.2126, 0.7152, 0.0722);
@@ -39,6 +42,7 @@ pub struct Film {
     squares: Vec<FixedSum>,
     samples: Vec<u32>,
     features: Option<Vec<FeatureSums>>,
+    splats: Option<Vec<SplatSums>>,
     dropped: u64,
 }
 
@@ -76,8 +80,26 @@ impl Film {
             squares: vec![FixedSum::default(); pixels],
             samples: vec![0; pixels],
             features: features.then(|| vec![FeatureSums::default(); pixels]),
+            splats: None,
             dropped: 0,
         }
+    }
+
+    /// Makes room for splats, if there is none yet.
+    pub fn enable_splats(&mut self) {
+        let pixels = self.samples.len();
+        self.splats
+            .get_or_insert_with(|| vec![SplatSums::default(); pixels]);
+    }
+
+    /// Whether there is room for splats.
+    pub fn has_splats(&self) -> bool {
+        self.splats.is_some()
+    }
+
+    /// Bytes that room for splats takes beside [`Film::bytes`].
+    pub fn splat_bytes(width: u32, height: u32) -> u64 {
+        u64::from(width) * u64::from(height) * size_of::<SplatSums>() as u64
     }
 
     /// Bytes that a film of this size takes.
@@ -157,6 +179,27 @@ impl Film {
         self.squares[i].add(luminance * luminance);
     }
 
+    /// Adds a splat. Each sample of each pixel stands for one light path, whether it brought splats or not. A splat that is
+    /// not finite counts as black and is reported by [`Film::dropped`].
+    ///
+    /// # Panics
+    /// If the pixel is outside, or the film has no room for splats.
+    pub fn splat(&mut self, splat: &Splat) {
+        let i = self.index(splat.x, splat.y);
+        if !splat.radiance.is_finite() {
+            self.dropped += 1;
+            return;
+        }
+        let splats = self.splats.as_mut().expect("splats were enabled");
+        splats::add(&mut splats[i], splat.radiance);
+    }
+
+    /// What a sum of splats is multiplied with.
+    fn splat_scale(&self) -> f64 {
+        let paths: u64 = self.samples.iter().map(|&n| u64::from(n)).sum();
+        self.samples.len() as f64 / paths.max(1) as f64
+    }
+
     /// An empty tile whose top left pixel is (x, y) of this film.
     pub fn tile(&self, x: u32, y: u32, width: u32, height: u32) -> FilmTile {
         FilmTile {
@@ -185,11 +228,18 @@ impl Film {
     /// # Panics
     /// If size or kind differ.
     pub fn merge(&mut self, other: &Self) {
-        assert_eq!(
-            (self.width, self.height, self.has_features()),
-            (other.width, other.height, other.has_features())
-        );
+        let kind = |film: &Self| {
+            let (features, splats) = (film.has_features(), film.has_splats());
+            (film.width, film.height, features, splats)
+        };
+        assert_eq!(kind(self), kind(other));
         self.merge_run(other, 0, 0, self.samples.len());
+        if let (Some(sums), Some(parts)) = (&mut self.splats, &other.splats) {
+            let parts = parts.iter().flatten();
+            for (sum, part) in sums.iter_mut().flatten().zip(parts) {
+                sum.merge(*part);
+            }
+        }
         self.dropped += other.dropped;
     }
 
@@ -208,26 +258,33 @@ impl Film {
         }
     }
 
-    /// Variance of the mean luminance of pixel `i`, and that mean.
-    fn luminance_statistics(&self, i: usize) -> (f64, f64) {
+    /// Variance of the mean luminance of pixel `i`, and that mean. `splat_scale` is that of the film.
+    fn luminance_statistics(&self, i: usize, splat_scale: f64) -> (f64, f64) {
         let n = f64::from(self.samples[i].max(1));
-        let sums = &self.radiance[i];
-        let mean = (0..3)
-            .map(|c| f64::from(LUMINANCE[c]) * sums[c].value())
-            .sum::<f64>()
-            / n;
+        let luminance = |sums: &[FixedSum]| {
+            (0..3)
+                .map(|c| f64::from(LUMINANCE[c]) * sums[c].value())
+                .sum::<f64>()
+        };
+        let mean = luminance(&self.radiance[i]) / n;
+        let (splat_variance, splat_mean) = self.splats.as_ref().map_or((0.0, 0.0), |splats| {
+            let sums = &splats[i];
+            let variance = sums[3].value() * splat_scale * splat_scale;
+            (variance, luminance(sums) * splat_scale)
+        });
         if self.samples[i] < 2 {
-            return (0.0, mean);
+            return (0.0, mean + splat_mean);
         }
         let variance = (self.squares[i].value() / n - mean * mean).max(0.0) / (n - 1.0);
-        (variance, mean)
+        (variance + splat_variance, mean + splat_mean)
     }
 
     /// Mean over the pixels of standard error / (luminance + 1 % of the picture's mean luminance): what `--noise` means.
     pub fn noise(&self) -> f64 {
         let pixels = self.samples.len().max(1) as f64;
+        let splat_scale = self.splat_scale();
         let statistics: Vec<(f64, f64)> = (0..self.samples.len())
-            .map(|i| self.luminance_statistics(i))
+            .map(|i| self.luminance_statistics(i, splat_scale))
             .collect();
         let mean = statistics.iter().map(|s| s.1).sum::<f64>() / pixels;
         let floor = 0.01 * mean.abs() + f64::MIN_POSITIVE;
@@ -241,14 +298,22 @@ impl Film {
     /// Divides the sums by the numbers of samples. Pixels without samples are black.
     pub fn develop(&self) -> Developed {
         let scale = |i: usize| 1.0 / f64::from(self.samples[i].max(1));
+        let splat_scale = self.splat_scale();
+        let splat = |i: usize, channel: usize| {
+            self.splats
+                .as_ref()
+                .map_or(0.0, |splats| splats[i][channel].value() * splat_scale)
+        };
         Developed {
             width: self.width,
             height: self.height,
             radiance: (self.radiance.iter().enumerate())
-                .map(|(i, sums)| sums.map(|sum| (sum.value() * scale(i)) as f32))
+                .map(|(i, sums)| {
+                    std::array::from_fn(|c| (sums[c].value() * scale(i) + splat(i, c)) as f32)
+                })
                 .collect(),
             variance: (0..self.samples.len())
-                .map(|i| self.luminance_statistics(i).0 as f32)
+                .map(|i| self.luminance_statistics(i, splat_scale).0 as f32)
                 .collect(),
             features: self.features.as_ref().map(|all| {
                 let mean = |(i, sums): (usize, &FeatureSums)| {
@@ -315,6 +380,35 @@ mod tests {
             merged.merge(&film);
         }
         assert_eq!(whole, merged);
+    }
+
+    /// Every other light path brings 2 to a pixel: with two pixels, 2 for every light path a pixel.
+    #[test]
+    fn splats_are_means_over_all_light_paths() {
+        let mut film = Film::new(2, 1, false);
+        film.enable_splats();
+        let n = 10;
+        for i in 0..2 * n {
+            film.add(i % 2, 0, Vec3::ONE, None);
+            if i % 2 == 0 {
+                let splat = |radiance| Splat {
+                    x: 1,
+                    y: 0,
+                    radiance,
+                };
+                film.splat(&splat(Vec3::splat(2.0)));
+                film.splat(&splat(Vec3::splat(f32::NAN)));
+            }
+        }
+        let developed = film.develop();
+        assert_eq!(developed.radiance, [[1.0; 3], [3.0; 3]]);
+        assert_eq!(film.dropped(), u64::from(n));
+        assert!((developed.variance[1] - 4.0 / n as f32).abs() < 1e-6);
+        // A tile that is ahead takes part in the number of light paths.
+        for _ in 0..2 * n {
+            film.add(0, 0, Vec3::ONE, None);
+        }
+        assert_eq!(film.develop().radiance[1], [2.0; 3]);
     }
 
     #[test]

@@ -23,6 +23,8 @@ pub struct Surface<'a> {
     pub extent: f32,
     /// The hit.
     pub hit: Hit,
+    /// Shading normal on the front side, before it is bent towards a viewer.
+    shading_front: Vec3,
     mesh: &'a Mesh,
     material: &'a Material,
 }
@@ -63,22 +65,47 @@ impl<'a> Surface<'a> {
             front,
             extent: triangle.extent(),
             hit,
+            shading_front: smooth,
             mesh,
             material,
         };
-        let mut shading = smooth;
         if let Some(map) = &material.normal {
-            shading = surface
+            surface.shading_front = surface
                 .mapped_normal(geometry, map, &triangle, smooth)
                 .unwrap_or(smooth);
         }
-        if !front {
-            shading = -shading;
-        }
-        let z = seen_from(shading, normal, toward_eye);
-        let (x, y) = z.any_orthonormal_pair();
-        surface.world_from_local = Mat3::from_cols(x, y, z);
+        surface.orient(toward_eye);
         Some(surface)
+    }
+
+    /// The same point, seen from another direction.
+    pub fn turned(&self, toward_eye: Vec3) -> Self {
+        let mut turned = *self;
+        let front_normal = if self.front {
+            self.normal
+        } else {
+            -self.normal
+        };
+        turned.front = front_normal.dot(toward_eye) >= 0.0;
+        turned.normal = if turned.front {
+            front_normal
+        } else {
+            -front_normal
+        };
+        turned.orient(toward_eye);
+        turned
+    }
+
+    /// Sets the shading frame for a viewer on the side of `normal`.
+    fn orient(&mut self, toward_eye: Vec3) {
+        let shading = if self.front {
+            self.shading_front
+        } else {
+            -self.shading_front
+        };
+        let z = seen_from(shading, self.normal, toward_eye);
+        let (x, y) = z.any_orthonormal_pair();
+        self.world_from_local = Mat3::from_cols(x, y, z);
     }
 
     /// The normal that a normal map gives, on the front side. `None` where it is not defined.

@@ -8,13 +8,16 @@
 //! number of threads, shards, cancelling and resuming leave no trace in the picture.
 
 mod ambient_occlusion;
+mod bidirectional;
 mod path;
+
+pub use bidirectional::{BidirectionalLimits, Techniques};
 
 use crate::camera::{PixelFilter, View};
 use crate::film::Film;
 use crate::geometry::Geometry;
 use crate::job::Job;
-use crate::light::Lights;
+use crate::light::{Emission, Lights};
 use crate::sampling::{Sampler, SamplerKind};
 use glam::Vec2;
 use occlude_visibility::{Epoch, Visibility, VisibilityStats};
@@ -34,6 +37,8 @@ const SAMPLES_TOGETHER: u32 = 4;
 pub enum Integrator {
     /// Unidirectional path tracing with next-event estimation and multiple importance sampling (Kajiya 1986; Veach 1997).
     Path(PathLimits),
+    /// Bidirectional path tracing with multiple importance sampling (Veach 1997, chapter 10).
+    Bidirectional(BidirectionalLimits),
     /// Share of the cosine-weighted hemisphere that nothing blocks within a distance.
     AmbientOcclusion {
         /// The distance, metres; may be infinite.
@@ -135,9 +140,10 @@ pub struct RenderReport {
 }
 
 /// Scratch space and counters of one worker.
-struct Worker<W> {
+struct Worker<'a, W> {
     visibility: W,
     path: path::Scratch,
+    bidirectional: bidirectional::Scratch<'a>,
     rays: RayCounts,
 }
 
@@ -169,8 +175,16 @@ pub fn render<'a, V: Visibility<Geometry<'a>>>(
     at_rest: &mut dyn FnMut(&Film),
 ) -> RenderReport {
     assert_eq!((view.width(), view.height()), (film.width(), film.height()));
+    let Geometry { scene, pose, .. } = *world.geometry;
+    let emission = match settings.integrator {
+        Integrator::Bidirectional(_) => {
+            film.enable_splats();
+            Emission::new(world.lights, scene, pose)
+        }
+        _ => Emission::none(),
+    };
     let deadline = settings.time_limit.map(|limit| Instant::now() + limit);
-    let workers: Mutex<Vec<Worker<V::Worker>>> = Mutex::new(Vec::new());
+    let workers: Mutex<Vec<Worker<'a, V::Worker>>> = Mutex::new(Vec::new());
     let pixels = u64::from(film.width()) * u64::from(film.height());
     let target = settings.samples.end - settings.samples.start;
     let already: u64 = (0..film.height())
@@ -203,6 +217,7 @@ pub fn render<'a, V: Visibility<Geometry<'a>>>(
             let mut worker = lock(&workers).pop().unwrap_or_else(|| Worker {
                 visibility: visibility.worker(),
                 path: path::Scratch::default(),
+                bidirectional: bidirectional::Scratch::default(),
                 rays: RayCounts::default(),
             });
             let before = worker.rays.primary
@@ -222,6 +237,18 @@ pub fn render<'a, V: Visibility<Geometry<'a>>>(
                         &mut tile,
                     );
                 }
+                Integrator::Bidirectional(limits) => {
+                    bidirectional::render_unit(
+                        world,
+                        view,
+                        visibility,
+                        settings,
+                        (limits, &emission),
+                        &unit,
+                        &mut worker,
+                        &mut tile,
+                    );
+                }
                 Integrator::AmbientOcclusion { distance } => {
                     ambient_occlusion::render_unit(
                         world,
@@ -235,7 +262,13 @@ pub fn render<'a, V: Visibility<Geometry<'a>>>(
                     );
                 }
             }
-            lock(&shared_film).add_tile(&tile);
+            {
+                let mut film = lock(&shared_film);
+                film.add_tile(&tile);
+                for splat in worker.bidirectional.splats.drain(..) {
+                    film.splat(&splat);
+                }
+            }
             let after = worker.rays.primary
                 + worker.rays.secondary
                 + visibility.stats(&worker.visibility).traced;

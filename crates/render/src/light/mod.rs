@@ -9,6 +9,7 @@
 //! by hitting them alone, and [`Lights::pdf_surface`] is 0 there.
 
 mod distribution;
+mod emission;
 mod emitter;
 mod environment;
 mod facet;
@@ -18,6 +19,7 @@ mod spherical;
 mod sun;
 mod tree;
 
+pub(crate) use emission::{Emission, Emitted, Origin};
 pub use environment::Environment;
 
 use emitter::{EmissiveTriangle, Emitters};
@@ -43,6 +45,8 @@ pub enum LightSelection {
 /// One sample of the light that arrives at a point.
 #[derive(Clone, Copy, Debug)]
 pub struct LightSample {
+    /// Number of the light.
+    pub light: usize,
     /// Unit vector towards the light.
     pub wi: Vec3,
     /// Radiance that arrives from there if nothing blocks it; for delta lights the irradiance on a facing surface.
@@ -270,11 +274,12 @@ impl Lights {
             self.selector
                 .pick(position, normal, pick, u, self.irradiance_bounds(normal))?;
         let sample = match self.which(light) {
-            Which::Point(i) => sample_point(&self.points[i], position, pmf),
+            Which::Point(i) => sample_point(&self.points[i], i, position, pmf),
             Which::Triangle(i) => self.sample_triangle(scene, i, position, normal, pmf, u),
             Which::Direction(i) => {
                 let light = &self.directions[i];
                 Some(LightSample {
+                    light: self.first_direction() + i,
                     wi: light.towards,
                     radiance: light.irradiance,
                     pdf: pmf,
@@ -310,6 +315,7 @@ impl Lights {
             reserved: 0,
         };
         Some(LightSample {
+            light: self.points.len() + index,
             wi: sample.wi,
             radiance: emissive.radiance(scene, sample.barycentric),
             pdf: sample.pdf * pmf,
@@ -333,6 +339,7 @@ impl Lights {
         };
         let pdf = self.pdf_environment(position, normal, wi);
         (pdf > 0.0 && pdf.is_finite()).then(|| LightSample {
+            light: self.first_sun() + index,
             wi,
             radiance: self.environment(wi),
             pdf,
@@ -408,12 +415,13 @@ fn is_sane(light: &PosedLight) -> bool {
         && light.intensity.max_element() > 0.0
 }
 
-fn sample_point(light: &PointLight, position: Vec3, pmf: f32) -> Option<LightSample> {
+fn sample_point(light: &PointLight, index: usize, position: Vec3, pmf: f32) -> Option<LightSample> {
     let to = light.position - position;
     let distance = to.length();
     let wi = to / distance;
     let radiance = light.intensity_along(-wi) / (distance * distance);
     (distance > 0.0 && radiance.is_finite()).then_some(LightSample {
+        light: index,
         wi,
         radiance,
         pdf: pmf,
@@ -425,6 +433,13 @@ fn sample_point(light: &PointLight, position: Vec3, pmf: f32) -> Option<LightSam
 
 /// Area of a disk that covers the scene from every side: turns irradiance from infinitely far into power.
 fn cross_section(scene: &Scene, pose: &Pose) -> f32 {
+    let (_, radius) = bounding_sphere(scene, pose);
+    let area = std::f32::consts::PI * radius * radius;
+    if area.is_finite() { area } else { 1.0 }
+}
+
+/// Centre and radius of a sphere around all that has a finite place.
+fn bounding_sphere(scene: &Scene, pose: &Pose) -> (Vec3, f32) {
     let (mut low, mut high) = (Vec3::splat(f32::INFINITY), Vec3::splat(f32::NEG_INFINITY));
     for (index, instance) in pose.instances.iter().enumerate() {
         let positions = pose.positions(scene, index);
@@ -445,9 +460,7 @@ fn cross_section(scene: &Scene, pose: &Pose) -> f32 {
             }
         }
     }
-    let radius = 0.5 * (high - low).length();
-    let area = std::f32::consts::PI * radius * radius;
-    if area.is_finite() { area } else { 1.0 }
+    ((low + high) * 0.5, 0.5 * (high - low).length())
 }
 
 #[cfg(test)]

@@ -43,6 +43,11 @@ impl Cone {
         linear * linear
     }
 
+    /// 1 minus the cosine of the outer angle, without cancellation.
+    pub(super) fn height(&self) -> f32 {
+        2.0 * (0.5 * self.outer_angle).sin().powi(2)
+    }
+
     /// The integral of the falloff over all directions, steradians.
     fn solid_angle(&self) -> f32 {
         // 2 pi times the integral over cos: 1 inside, a squared ramp of width 1 / scale outside. The ramp is 0 at the outer

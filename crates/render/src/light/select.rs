@@ -23,7 +23,7 @@ pub(super) enum Selector {
 
 /// A random place of 32 bits from a pick in `[0, 1)`, which has 24 bits only: too coarse to choose among a million lights.
 /// The rest comes from a hash of the numbers that choose the point on the light, which are independent of the pick.
-fn fine_place(pick: f32, u: Vec2) -> u32 {
+pub(super) fn fine_place(pick: f32, u: Vec2) -> u32 {
     let mut hash = u.x.to_bits() ^ u.y.to_bits().rotate_left(16);
     hash = (hash ^ (hash >> 16)).wrapping_mul(0x7feb_352d);
     hash = (hash ^ (hash >> 15)).wrapping_mul(0x846c_a68b);

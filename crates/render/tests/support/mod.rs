@@ -2,6 +2,7 @@
 #![allow(dead_code)] // every test file uses a part of it
 
 pub mod brute;
+pub mod scenes;
 
 use glam::Vec3;
 use occlude_bvh::BuildOptions;
@@ -23,6 +24,8 @@ use occlude_visibility::{Exact, Occluder};
 pub struct Setup {
     pub size: (u32, u32),
     pub samples: u32,
+    /// The first sample number: not 0 in a shard.
+    pub first: u32,
     pub seed: u64,
     pub integrator: Integrator,
     pub sampler: SamplerKind,
@@ -36,6 +39,7 @@ impl Default for Setup {
         Self {
             size: (16, 16),
             samples: 16,
+            first: 0,
             seed: 0,
             integrator: Integrator::Path(PathLimits::new(64)),
             sampler: SamplerKind::Sobol,
@@ -62,7 +66,7 @@ pub fn film(scene: &Scene, setup: &Setup) -> (Film, RenderReport) {
         sampler: setup.sampler,
         filter: PixelFilter::Box,
         seed: setup.seed,
-        samples: 0..setup.samples,
+        samples: setup.first..setup.samples,
         time_limit: None,
         noise: None,
     };
