@@ -181,7 +181,7 @@ impl Emission {
             }
             Which::Direction(i) => {
                 let direction = &lights.directions[i];
-                let ray = self.from_infinity(direction.towards, place);
+                let ray = self.ray_towards_scene(direction.towards, place);
                 self.emit(lights, ray, Origin::Direction(light), 1.0, |density| {
                     direction.irradiance / (density.start * density.spread)
                 })
@@ -191,7 +191,7 @@ impl Emission {
                     Some(sun) => sun.sample(turn),
                     None => lights.environment.as_ref()?.sample(Vec3::ZERO, turn)?,
                 };
-                let ray = self.from_infinity(towards, place);
+                let ray = self.ray_towards_scene(towards, place);
                 self.emit(lights, ray, Origin::Sky(towards), 1.0, |density| {
                     lights.environment(towards) / (density.start * density.spread)
                 })
@@ -222,7 +222,7 @@ impl Emission {
         })
     }
 
-    fn from_infinity(&self, towards: Vec3, place: Vec2) -> Ray {
+    fn ray_towards_scene(&self, towards: Vec3, place: Vec2) -> Ray {
         let disk = warp::disk(place) * self.radius;
         let (s, t) = warp::basis(towards);
         let from = self.centre + towards * self.radius + s * disk.x + t * disk.y;
@@ -292,6 +292,14 @@ impl Lights {
             light: self.points.len() + index,
             position,
         })
+    }
+
+    /// Unit normal of the front of an emissive triangle.
+    #[cfg(test)]
+    pub(crate) fn front_of(&self, light: usize) -> Vec3 {
+        self.emitters.triangles[light - self.points.len()]
+            .facet
+            .front
     }
 
     /// Density with which [`Lights::sample`] at `position` finds `origin`, in the unit of [`EmissionDensity::start`].

@@ -191,7 +191,7 @@ impl Stage<'_, '_> {
 
     /// `t = 1`: a vertex of a path from a light and the camera. Also the point of the picture; the contribution is the radiance
     /// there, in a picture of one light path a pixel, without the filter.
-    pub(super) fn to_camera(&self, light: &Vertex) -> Option<(Vec2, Connection)> {
+    pub(super) fn show(&self, light: &Vertex) -> Option<(Vec2, Connection)> {
         let to = &light.facing;
         let position = to.surface.position;
         let seen = self.view.project(position)?;

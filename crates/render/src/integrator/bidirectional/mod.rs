@@ -288,7 +288,7 @@ fn shade_light_paths<'a>(stage: &Stage<'_, 'a>, scratch: &mut Scratch<'a>) {
         vertices.push(vertex);
         walk.link = number;
         if !vertex.facing.bsdf.is_delta()
-            && let Some((point, connection)) = stage.to_camera(&vertex)
+            && let Some((point, connection)) = stage.show(&vertex)
         {
             queries.push(connection.query);
             pending.push(Pending {
@@ -300,7 +300,7 @@ fn shade_light_paths<'a>(stage: &Stage<'_, 'a>, scratch: &mut Scratch<'a>) {
             .jump(LIGHT_SETS + EMISSION_SETS + walk.depth + walk.panes);
         let numbers = walk.sampler.next();
         // A vertex beyond that no event is left for would be of no use.
-        walk.depart(lights, &vertex, number, stage.max_depth - 1, numbers)
+        walk.depart(lights, &vertex, stage.max_depth - 1, numbers)
     });
 }
 
@@ -415,13 +415,7 @@ fn shade_hit(
         }
     }
     let [u, v, lobe, _] = walk.sampler.next();
-    walk.depart(
-        lights,
-        &vertex,
-        NONE,
-        stage.max_depth,
-        [u, v, lobe, roulette],
-    )
+    walk.depart(lights, &vertex, stage.max_depth, [u, v, lobe, roulette])
 }
 
 /// Adds what the visibility answers let through.
@@ -467,3 +461,6 @@ fn splat(filter: PixelFilter, view: &View, point: Vec2, radiance: Vec3, splats: 
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

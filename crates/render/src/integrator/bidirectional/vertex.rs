@@ -99,12 +99,6 @@ pub(super) struct Vertex<'a> {
     pub(super) absorption: Vec3,
     /// The first vertex of a path from a light.
     pub(super) start: Option<Start>,
-    /// The vertex before it on its subpath.
-    #[cfg_attr(
-        not(test),
-        allow(dead_code, reason = "the slow definition of weights walks back")
-    )]
-    pub(super) previous: u32,
     /// The vertex that its path made before it, panes included: the list of all.
     pub(super) link: u32,
 }

@@ -68,7 +68,6 @@ pub(super) struct Walk {
     scale: f32,
     pub(super) last: Option<Last>,
     start: Option<Start>,
-    pub(super) previous: u32,
     /// The last vertex made, panes included.
     pub(super) link: u32,
 }
@@ -135,7 +134,6 @@ impl Walk {
             scale: 1.0,
             last: None,
             start: None,
-            previous: NONE,
             link: NONE,
         }
     }
@@ -185,17 +183,15 @@ impl Walk {
             partial,
             absorption: self.absorption,
             start: self.start,
-            previous: self.previous,
             link: self.link,
         })
     }
 
-    /// Goes on from a vertex (number `index`) in a sampled direction. `false`: the subpath ends.
+    /// Goes on from a vertex in a sampled direction. `false`: the subpath ends.
     pub(super) fn depart(
         &mut self,
         lights: &Lights,
         vertex: &Vertex,
-        index: u32,
         max_depth: u32,
         numbers: [f32; 4],
     ) -> bool {
@@ -236,7 +232,6 @@ impl Walk {
             self.absorption = vertex.absorption_along(direction);
             self.travelled = 0.0;
             self.start = None;
-            self.previous = index;
             self.last = (!sample.delta).then(|| Last {
                 position: surface.position,
                 light_normal: facing.light_normal(&vertex.parameters),
