@@ -89,6 +89,15 @@ pub struct Work {
     pub rays: Rays,
     /// What the visibility strategy did.
     pub visibility: Visibility,
+    /// Instant radiosity: virtual lights.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub vpls: Option<u32>,
+    /// Instant radiosity: the bound on the geometry term, per square metre; left out if there is none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub clamp: Option<f32>,
+    /// Instant radiosity: what the bound took away, as a share of the picture's sum.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub clamped_energy: Option<f64>,
 }
 
 /// Rays by kind.

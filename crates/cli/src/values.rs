@@ -70,6 +70,14 @@ pub fn positive(text: &str) -> Result<f32, String> {
     }
 }
 
+/// A number above 0, or `inf`.
+pub fn bound(text: &str) -> Result<f32, String> {
+    if text.trim().eq_ignore_ascii_case("inf") {
+        return Ok(f32::INFINITY);
+    }
+    positive(text).map_err(|error| format!("{error}, or inf"))
+}
+
 /// A finite number that is not negative.
 pub fn not_negative(text: &str) -> Result<f32, String> {
     match number(text)? {

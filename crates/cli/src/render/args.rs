@@ -13,6 +13,9 @@ use std::time::Duration;
 /// Samples a pixel when nothing else says when to stop.
 const DEFAULT_SAMPLES: u32 = 64;
 
+/// Virtual lights at most.
+const MAX_VPLS: u32 = 1 << 20;
+
 /// Samples a pixel at most.
 const MAX_SAMPLES: u32 = 1 << 24;
 
@@ -119,7 +122,7 @@ pub struct RenderArgs {
     )]
     pub sun: Option<Sun>,
 
-    /// path: all light paths; bidirectional: the same from both ends, for caustics and light that comes by detours; direct: light that comes straight from lights; ao: ambient occlusion, white surfaces in an even sky
+    /// path: all light paths; bidirectional: the same from both ends, for caustics and light that comes by detours; direct: light that comes straight from lights; instant-radiosity: many virtual lights, no noise in diffuse rooms; ao: ambient occlusion, white surfaces in an even sky
     #[arg(long, value_enum, default_value_t = Integrator::Path, help_heading = "Work")]
     pub integrator: Integrator,
 
@@ -150,6 +153,19 @@ pub struct RenderArgs {
     /// Blur glossy surfaces where they are seen by way of a rough one: far fewer fireflies, but soft caustics (biased)
     #[arg(long, help_heading = "Work")]
     pub regularize: bool,
+
+    /// Virtual lights of --integrator instant-radiosity
+    #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_VPLS)), allow_negative_numbers = true, help_heading = "Work")]
+    pub vpls: u32,
+
+    /// Bound on cos cos / distance^2 between a virtual light and what it lights, per square metre; inf: none
+    /// [default: by the distances between the lights]
+    #[arg(long, value_name = "G", value_parser = values::bound, allow_negative_numbers = true, help_heading = "Work")]
+    pub clamp: Option<f32>,
+
+    /// Gather what the bound takes away by short paths: slower and with some noise, but no darkened corners
+    #[arg(long, help_heading = "Work")]
+    pub compensate: bool,
 
     /// Where sample points come from
     #[arg(long, value_enum, default_value_t = Sampler::Sobol, help_heading = "Work")]
@@ -291,6 +307,9 @@ pub enum Integrator {
     Direct,
     /// Ambient occlusion
     Ao,
+    /// Many virtual lights
+    #[value(name = "instant-radiosity")]
+    InstantRadiosity,
 }
 
 /// How visibility questions are answered.

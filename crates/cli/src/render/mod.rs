@@ -17,7 +17,8 @@ use occlude_render::camera::{PixelFilter, View};
 use occlude_render::film::Film;
 use occlude_render::geometry::Geometry;
 use occlude_render::integrator::{
-    self, BidirectionalLimits, PathLimits, RenderSettings, StoppedBy, World, render,
+    self, BidirectionalLimits, InstantRadiosity, PathLimits, RenderSettings, StoppedBy, World,
+    render,
 };
 use occlude_render::sampling::SamplerKind;
 use occlude_render::work::{Work, shard_samples};
@@ -155,6 +156,12 @@ fn work<'a, V: Visibility<Geometry<'a>>>(
             refined: report.visibility.refined,
             bytes: visibility.bytes(),
         },
+        vpls: report.instant_radiosity.map(|ir| ir.vpls),
+        clamp: report
+            .instant_radiosity
+            .map(|ir| ir.clamp)
+            .filter(|clamp| clamp.is_finite()),
+        clamped_energy: report.instant_radiosity.map(|ir| ir.clamped_energy),
     });
     if film.dropped() > 0 {
         context.warn(format_args!(
@@ -207,6 +214,14 @@ fn settings(args: &RenderArgs, seed: u64) -> RenderSettings {
             }
             Integrator::Direct => {
                 integrator::Integrator::Path(PathLimits::new(args.max_depth.min(1)))
+            }
+            Integrator::InstantRadiosity => {
+                integrator::Integrator::InstantRadiosity(InstantRadiosity {
+                    max_depth: args.max_depth,
+                    vpls: args.vpls,
+                    clamp: args.clamp,
+                    compensate: args.compensate,
+                })
             }
             Integrator::Ao => integrator::Integrator::AmbientOcclusion {
                 distance: args.ao_distance.unwrap_or(f32::INFINITY),

@@ -198,6 +198,107 @@ impl Row {
     }
 }
 
+/// Coefficients of [`Polynomials`].
+pub(crate) const COEFFICIENTS: usize = 7;
+
+/// Directional albedo of one roughness as polynomials in the root of the cosine: for vector units, which read tables badly.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Polynomials {
+    /// `A`, lowest power first.
+    pub(crate) a: [f32; COEFFICIENTS],
+    /// `B`.
+    pub(crate) b: [f32; COEFFICIENTS],
+}
+
+impl Polynomials {
+    /// `[A, B]` at the root of a cosine.
+    #[inline(always)]
+    pub(crate) fn at(&self, root: f32) -> [f32; 2] {
+        [&self.a, &self.b].map(|c| c.iter().rev().fold(0.0, |sum, c| sum * root + c))
+    }
+
+    fn lerp(&self, other: &Self, t: f32) -> Self {
+        let lerp = |a: [f32; COEFFICIENTS], b: [f32; COEFFICIENTS]| {
+            std::array::from_fn(|i| a[i] + (b[i] - a[i]) * t)
+        };
+        Self {
+            a: lerp(self.a, other.a),
+            b: lerp(self.b, other.b),
+        }
+    }
+
+    /// Least squares over the cosine's root, by its normal equations in Legendre's basis (which keeps them well conditioned).
+    fn fit(albedo: impl Fn(f32) -> Split) -> Self {
+        const POINTS: usize = 256;
+        let basis = |x: f64| {
+            let mut p = [1.0, x, 0.0, 0.0, 0.0, 0.0, 0.0];
+            for n in 1..COEFFICIENTS - 1 {
+                let k = n as f64;
+                p[n + 1] = ((2.0 * k + 1.0) * x * p[n] - k * p[n - 1]) / (k + 1.0);
+            }
+            p
+        };
+        // Legendre's polynomials are orthogonal: by Gauss' nodes they would be so exactly, by midpoints nearly; projection suffices.
+        let mut sums = [[0.0_f64; COEFFICIENTS]; 2];
+        for i in 0..POINTS {
+            let t = (i as f64 + 0.5) / POINTS as f64;
+            let e = albedo((t * t) as f32);
+            let p = basis(2.0 * t - 1.0);
+            for n in 0..COEFFICIENTS {
+                let weight = (2 * n + 1) as f64 / POINTS as f64;
+                sums[0][n] += f64::from(e.a) * p[n] * weight;
+                sums[1][n] += f64::from(e.b) * p[n] * weight;
+            }
+        }
+        // Back to powers of t: the polynomials of 2t - 1, multiplied out.
+        let mut powers = [[0.0_f64; COEFFICIENTS]; COEFFICIENTS];
+        powers[0][0] = 1.0;
+        powers[1][0] = -1.0;
+        powers[1][1] = 2.0;
+        for n in 1..COEFFICIENTS - 1 {
+            let k = n as f64;
+            for i in 0..COEFFICIENTS {
+                let shifted = if i > 0 { 2.0 * powers[n][i - 1] } else { 0.0 } - powers[n][i];
+                powers[n + 1][i] = ((2.0 * k + 1.0) * shifted - k * powers[n - 1][i]) / (k + 1.0);
+            }
+        }
+        let expand = |sums: &[f64; COEFFICIENTS]| {
+            std::array::from_fn(|i| {
+                (0..COEFFICIENTS)
+                    .map(|n| sums[n] * powers[n][i])
+                    .sum::<f64>() as f32
+            })
+        };
+        Self {
+            a: expand(&sums[0]),
+            b: expand(&sums[1]),
+        }
+    }
+}
+
+/// By roughness; the last one is a perfect mirror's.
+static POLYNOMIALS: LazyLock<Vec<Polynomials>> = LazyLock::new(|| {
+    let rows = (0..NODES).map(|r| {
+        let row = Row {
+            index: (r as u32).min(NODES as u32 - 2),
+            fraction: if r == NODES - 1 { 1.0 } else { 0.0 },
+        };
+        Polynomials::fit(|cos| row.at(cos))
+    });
+    rows.chain([Polynomials::fit(Split::mirror)]).collect()
+});
+
+impl Row {
+    /// The row as polynomials.
+    pub(super) fn polynomials(self) -> Polynomials {
+        if self.index == MIRROR {
+            return POLYNOMIALS[NODES];
+        }
+        let k = (self.index as usize).min(NODES - 2);
+        POLYNOMIALS[k].lerp(&POLYNOMIALS[k + 1], self.fraction)
+    }
+}
+
 /// Nodes along each axis of the sheen's table.
 const SHEEN_NODES: usize = 24;
 

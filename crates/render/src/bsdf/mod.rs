@@ -24,11 +24,13 @@ mod layers;
 mod microfacet;
 mod scatter;
 mod setup;
+mod split;
 
 use albedo::Row;
 use glam::{Vec2, Vec3};
 use layers::Layers;
 use microfacet::GRAZING;
+pub(crate) use split::Broad;
 use std::f32::consts::FRAC_1_PI;
 
 use crate::sampling::warp;
@@ -132,6 +134,8 @@ pub struct Bsdf {
     through: [f32; 3],
     row: Row,
     alpha: f32,
+    /// Cosine of `wo`.
+    cos_o: f32,
     /// `smith_root` of `wo`.
     root_o: f32,
     /// `G1(wo) / (4 wo.z)`: density of a reflected visible normal over `D`.

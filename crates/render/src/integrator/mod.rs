@@ -9,9 +9,11 @@
 
 mod ambient_occlusion;
 mod bidirectional;
+mod instant_radiosity;
 mod path;
 
 pub use bidirectional::{BidirectionalLimits, Techniques};
+pub use instant_radiosity::{InstantRadiosity, InstantRadiosityReport};
 
 use crate::camera::{PixelFilter, View};
 use crate::film::Film;
@@ -44,6 +46,8 @@ pub enum Integrator {
         /// The distance, metres; may be infinite.
         distance: f32,
     },
+    /// Many virtual lights that all eye samples share (Keller 1997; Segovia et al. 2006).
+    InstantRadiosity(InstantRadiosity),
 }
 
 /// What a path may do.
@@ -137,6 +141,8 @@ pub struct RenderReport {
     pub rays: RayCounts,
     /// Visibility questions and what became of them.
     pub visibility: VisibilityStats,
+    /// Of [`Integrator::InstantRadiosity`].
+    pub instant_radiosity: Option<InstantRadiosityReport>,
 }
 
 /// Scratch space and counters of one worker.
@@ -144,7 +150,45 @@ struct Worker<'a, W> {
     visibility: W,
     path: path::Scratch,
     bidirectional: bidirectional::Scratch<'a>,
+    instant_radiosity: instant_radiosity::Scratch,
     rays: RayCounts,
+}
+
+/// How the picture is cut into units.
+#[derive(Clone, Copy, Debug)]
+struct Layout {
+    /// Width and height of a tile, pixels.
+    tile: u32,
+    /// Samples a pixel of the first pass, and of the others.
+    first: u32,
+    together: u32,
+}
+
+impl Layout {
+    fn of(settings: &RenderSettings) -> Self {
+        match settings.integrator {
+            // Passes are as large as may be: questions asked together answer each other. Not so large that a limit on time or
+            // noise would be overrun.
+            Integrator::InstantRadiosity(_) => {
+                let together = match (settings.time_limit, settings.noise) {
+                    (Some(_), _) => 1,
+                    (None, Some(_)) => SAMPLES_TOGETHER,
+                    (None, None) => instant_radiosity::SAMPLES_TOGETHER,
+                };
+                Self {
+                    tile: instant_radiosity::TILE,
+                    first: together,
+                    together,
+                }
+            }
+            // The first sample alone: something to look at soon.
+            _ => Self {
+                tile: TILE,
+                first: 1,
+                together: SAMPLES_TOGETHER,
+            },
+        }
+    }
 }
 
 /// A rectangle of pixels and the samples that it takes next.
@@ -194,30 +238,38 @@ pub fn render<'a, V: Visibility<Geometry<'a>>>(
     job.start_phase("render", pixels * u64::from(target));
     job.advance(already, 0);
 
+    let layout = Layout::of(settings);
+    let prepared = match settings.integrator {
+        Integrator::InstantRadiosity(wanted) => Some(instant_radiosity::Prepared::new(
+            world, view, settings, wanted,
+        )),
+        _ => None,
+    };
     let mut stopped_by = StoppedBy::Samples;
     let mut round_end = 0;
+    let mut first_round = true;
     while round_end < target {
-        // The first sample alone: something to look at soon.
         round_end = if round_end == 0 {
-            1
+            layout.first
         } else {
-            (round_end / SAMPLES_TOGETHER + 1) * SAMPLES_TOGETHER
+            (round_end / layout.together + 1) * layout.together
         }
         .min(target);
-        let units = units_until(film, round_end);
+        let units = units_until(film, round_end, layout.tile);
         let shared_film = Mutex::new(&mut *film);
         let stop = |first_round: bool| {
             job.is_cancelled()
                 || (!first_round && deadline.is_some_and(|deadline| Instant::now() >= deadline))
         };
         units.into_par_iter().for_each(|unit| {
-            if stop(round_end == 1) {
+            if stop(first_round) {
                 return;
             }
             let mut worker = lock(&workers).pop().unwrap_or_else(|| Worker {
                 visibility: visibility.worker(),
                 path: path::Scratch::default(),
                 bidirectional: bidirectional::Scratch::default(),
+                instant_radiosity: instant_radiosity::Scratch::default(),
                 rays: RayCounts::default(),
             });
             let before = worker.rays.primary
@@ -261,6 +313,20 @@ pub fn render<'a, V: Visibility<Geometry<'a>>>(
                         &mut tile,
                     );
                 }
+                Integrator::InstantRadiosity(_) => {
+                    if let Some(prepared) = &prepared {
+                        instant_radiosity::render_unit(
+                            world,
+                            view,
+                            visibility,
+                            settings,
+                            prepared,
+                            &unit,
+                            &mut worker,
+                            &mut tile,
+                        );
+                    }
+                }
             }
             {
                 let mut film = lock(&shared_film);
@@ -283,6 +349,7 @@ pub fn render<'a, V: Visibility<Geometry<'a>>>(
             break;
         }
         at_rest(film);
+        first_round = false;
         if stop(false) && round_end < target {
             stopped_by = StoppedBy::Time;
             break;
@@ -298,7 +365,10 @@ pub fn render<'a, V: Visibility<Geometry<'a>>>(
         }
     }
 
-    let mut rays = RayCounts::default();
+    let mut rays = RayCounts {
+        primary: 0,
+        secondary: prepared.as_ref().map_or(0, |prepared| prepared.rays),
+    };
     let mut stats = VisibilityStats::default();
     for worker in workers.into_inner().unwrap_or_else(PoisonError::into_inner) {
         rays.primary += worker.rays.primary;
@@ -309,6 +379,7 @@ pub fn render<'a, V: Visibility<Geometry<'a>>>(
         stopped_by,
         rays,
         visibility: stats,
+        instant_radiosity: prepared.map(|prepared| prepared.report()),
     }
 }
 
@@ -317,21 +388,21 @@ fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
 }
 
 /// The work that brings every pixel of the film to `samples` samples.
-fn units_until(film: &Film, samples: u32) -> Vec<Unit> {
-    let corners = (0..film.height()).step_by(TILE as usize).flat_map(|y| {
+fn units_until(film: &Film, samples: u32, tile: u32) -> Vec<Unit> {
+    let corners = (0..film.height()).step_by(tile as usize).flat_map(|y| {
         (0..film.width())
-            .step_by(TILE as usize)
+            .step_by(tile as usize)
             .map(move |x| (x, y))
     });
     corners
         .filter_map(|(x, y)| {
             let done = film.samples_at(x, y);
             (done < samples).then(|| Unit {
-                index: y / TILE * film.width().div_ceil(TILE) + x / TILE,
+                index: y / tile * film.width().div_ceil(tile) + x / tile,
                 x,
                 y,
-                width: TILE.min(film.width() - x),
-                height: TILE.min(film.height() - y),
+                width: tile.min(film.width() - x),
+                height: tile.min(film.height() - y),
                 samples: done..samples,
             })
         })

@@ -16,10 +16,10 @@ use glam::{Vec2, Vec3};
 use occlude_visibility::{Endpoint, Hit, Query, Ray, Visibility, offset_along_normal};
 
 /// Panes that a path may pass beside its scattering events, before it is given up.
-const MOST_PANES: u32 = 64;
+pub(super) const MOST_PANES: u32 = 64;
 
 /// Scattering events after which roulette may end a path.
-const ROULETTE_AFTER: u32 = 2;
+pub(super) const ROULETTE_AFTER: u32 = 2;
 
 /// Least perceptual roughness of what a regularized path sees after a scattering event that was not a mirror. Such paths
 /// find caustics so rarely that each find is a firefly; the blur brings the finds together.
@@ -61,13 +61,14 @@ struct Path {
     features: Features,
 }
 
+/// A scattering event that light sampling could have found.
 #[derive(Clone, Copy, Debug)]
-struct Scattering {
-    position: Vec3,
+pub(super) struct Scattering {
+    pub(super) position: Vec3,
     /// What light sampling used there.
-    light_normal: Vec3,
+    pub(super) light_normal: Vec3,
     /// Density of the direction per steradian.
-    pdf: f32,
+    pub(super) pdf: f32,
 }
 
 /// What a light sample brings, once its visibility is known.
@@ -151,6 +152,71 @@ pub(super) fn render_unit<'a, V: Visibility<Geometry<'a>>>(
     }
 }
 
+impl Scratch {
+    /// Forgets all paths.
+    pub(super) fn start(&mut self) {
+        self.paths.clear();
+        self.alive.clear();
+    }
+
+    /// Adds a path that somebody else has begun and that leaves its last, not mirror-like scattering event along `ray`.
+    pub(super) fn push(
+        &mut self,
+        ray: Ray,
+        throughput: Vec3,
+        sampler: Sampler,
+        depth: u32,
+        last: Scattering,
+        owner: u32,
+    ) {
+        self.alive.push(self.paths.len() as u32);
+        self.paths.push(Path {
+            ray,
+            throughput,
+            radiance: Vec3::ZERO,
+            sampler,
+            x: owner,
+            y: 0,
+            depth,
+            panes: 0,
+            last: Some(last),
+            direction_density: last.pdf,
+            parallel: false,
+            travelled: 0.0,
+            squeezed: 1.0,
+            blurred: true,
+            absorption: Vec3::ZERO,
+            features: Features::default(),
+        });
+    }
+
+    /// Goes all paths to their ends; returns the rays traced.
+    pub(super) fn finish<'a, V: Visibility<Geometry<'a>>>(
+        &mut self,
+        world: &World<'a>,
+        limits: PathLimits,
+        visibility: &V,
+        worker: &mut V::Worker,
+    ) -> u64 {
+        let mut rays = 0;
+        while !self.alive.is_empty() {
+            rays += self.alive.len() as u64;
+            extend(world.geometry, self);
+            shade(world, limits, false, self);
+            self.answers.clear();
+            self.answers.resize(self.queries.len(), 0.0);
+            visibility.answer(world.geometry, worker, &self.queries, &mut self.answers);
+            collect(world.geometry, self);
+        }
+        rays
+    }
+
+    /// The owners of the paths and what the paths brought.
+    pub(super) fn brought(&self) -> impl Iterator<Item = (u32, Vec3)> {
+        self.paths.iter().map(|path| (path.x, path.radiance))
+    }
+}
+
 /// Finds what every living path hits.
 fn extend(geometry: &Geometry, scratch: &mut Scratch) {
     scratch.rays.clear();
@@ -219,7 +285,7 @@ fn collect(geometry: &Geometry, scratch: &mut Scratch) {
 }
 
 /// Weight of a technique with density `a` against another with density `b` (power heuristic, beta 2).
-fn power_heuristic(a: f32, b: f32) -> f32 {
+pub(super) fn power_heuristic(a: f32, b: f32) -> f32 {
     if a.is_infinite() {
         return 1.0;
     }
@@ -405,18 +471,9 @@ fn shade_hit(
             path.blurred = true;
         }
         if side < 0.0
-            && let Some(volume) = surface.material().volume
+            && let Some(absorption) = absorption_behind(&surface)
         {
-            let inside = surface.front && volume.attenuation_distance.is_finite();
-            path.absorption = if inside {
-                -volume
-                    .attenuation_color
-                    .max(Vec3::splat(f32::MIN_POSITIVE))
-                    .map(f32::ln)
-                    / volume.attenuation_distance
-            } else {
-                Vec3::ZERO
-            };
+            path.absorption = absorption;
         }
     }
     path.throughput *= sample.weight;
@@ -438,4 +495,19 @@ fn shade_hit(
     );
     path.ray = Ray::new(origin, direction);
     true
+}
+
+/// Absorption per metre behind the side of a surface that is seen; `None` if the surface says nothing about it.
+pub(super) fn absorption_behind(surface: &Surface) -> Option<Vec3> {
+    let volume = surface.material().volume?;
+    let inside = surface.front && volume.attenuation_distance.is_finite();
+    Some(if inside {
+        -volume
+            .attenuation_color
+            .max(Vec3::splat(f32::MIN_POSITIVE))
+            .map(f32::ln)
+            / volume.attenuation_distance
+    } else {
+        Vec3::ZERO
+    })
 }

@@ -13,6 +13,7 @@ mod emission;
 mod emitter;
 mod environment;
 mod facet;
+mod parts;
 mod punctual;
 mod select;
 mod spherical;
@@ -21,6 +22,7 @@ mod tree;
 
 pub(crate) use emission::{Emission, Emitted, Origin};
 pub use environment::Environment;
+pub(crate) use parts::DeltaLight;
 
 use emitter::{EmissiveTriangle, Emitters};
 use glam::{Vec2, Vec3};
@@ -28,6 +30,7 @@ use occlude_scene::{LightKind, Pose, PosedLight, Scene};
 use occlude_visibility::{Endpoint, LightEnd, offset_along_normal};
 use punctual::{Cone, ExactDirection, PointLight};
 use select::Selector;
+use std::sync::Arc;
 use sun::Sun;
 
 /// How a light is picked for a shading point.
@@ -68,10 +71,11 @@ pub struct LightSample {
 #[derive(Debug)]
 pub struct Lights {
     points: Vec<PointLight>,
-    emitters: Emitters,
+    emitters: Arc<Emitters>,
     directions: Vec<ExactDirection>,
     suns: Vec<Sun>,
     environment: Option<Environment>,
+    selection: LightSelection,
     selector: Selector,
 }
 
@@ -139,7 +143,7 @@ impl Lights {
             }
         }
         points.retain(|p| p.power() > 0.0);
-        let emitters = Emitters::new(scene, pose);
+        let emitters = Arc::new(Emitters::new(scene, pose));
         let environment = Some(environment.unwrap_or_else(|| Environment::constant(scene.sky)))
             .filter(|e| !e.is_black());
 
@@ -149,14 +153,20 @@ impl Lights {
             directions,
             suns,
             environment,
+            selection,
             selector: Selector::Nothing,
         };
-        lights.selector = match selection {
-            LightSelection::Uniform => Selector::uniform(lights.len()),
-            LightSelection::Power => Selector::by_power(&lights.powers(scene, pose)),
-            LightSelection::Tree => Selector::by_tree(&lights.bounds()),
-        };
+        lights.select(scene, pose);
         lights
+    }
+
+    /// Makes the tables that pick lights.
+    fn select(&mut self, scene: &Scene, pose: &Pose) {
+        self.selector = match self.selection {
+            LightSelection::Uniform => Selector::uniform(self.len()),
+            LightSelection::Power => Selector::by_power(&self.powers(scene, pose)),
+            LightSelection::Tree => Selector::by_tree(&self.bounds()),
+        };
     }
 
     /// Emitted power of each light; of those infinitely far away, what falls on the scene.

@@ -37,6 +37,11 @@ impl Cone {
         }
     }
 
+    /// Axis, scale and offset of the falloff, `clamp(scale * cos + offset, 0, 1)^2`.
+    pub(super) fn ramp(&self) -> (Vec3, f32, f32) {
+        (self.axis, self.scale, self.offset)
+    }
+
     /// The part of the full intensity that leaves along the unit vector `direction`.
     pub(super) fn falloff(&self, direction: Vec3) -> f32 {
         let linear = (self.axis.dot(direction) * self.scale + self.offset).clamp(0.0, 1.0);

@@ -1,0 +1,265 @@
+//! The loops over blocks against light by light in plain form.
+
+use super::*;
+use crate::bsdf::BsdfParameters;
+use crate::sampling::{Sampler, SamplerKind, warp};
+use glam::Vec2;
+use occlude_visibility::{Endpoint, LightEnd};
+
+fn numbers(seed: u64) -> impl FnMut() -> [f32; 4] {
+    let mut sampler = Sampler::new(SamplerKind::Independent, seed, [0, 0], 0);
+    move || sampler.next()
+}
+
+fn shared(position: Vec3) -> SharedLight {
+    SharedLight {
+        end: LightEnd::Point(position),
+        target: Some(position),
+        connections: 1.0,
+    }
+}
+
+/// Lights of a kind, and each as `(vector to it, radiance per unit of f cos)` from an eye.
+fn lights(
+    kind: Kind,
+    count: usize,
+    next: &mut impl FnMut() -> [f32; 4],
+) -> (LightList, Vec<(Vec3, Vec3, Vec3)>) {
+    let mut list = LightList::new(kind);
+    let mut plain = Vec::new();
+    for _ in 0..count {
+        let [x, y, z, w] = next();
+        let [u, v, r, g] = next();
+        let position = Vec3::new(x, y, z) * 4.0 - 2.0;
+        let axis = warp::uniform_sphere(Vec2::new(u, v));
+        let colour = Vec3::new(r, g, w);
+        match kind {
+            Kind::Patch => {
+                list.push_patch(shared(position), position, axis, colour, (4.0 * r) as u32);
+            }
+            Kind::Point => {
+                list.push_point(shared(position), position, colour, Some((axis, 2.0, 0.3)))
+            }
+            Kind::Direction => list.push_direction(shared(axis), axis, colour),
+        }
+        plain.push((position, axis, colour));
+    }
+    (list, plain)
+}
+
+/// What a light sends to an eye per unit of `f cos`, and where from.
+fn arriving(kind: Kind, light: &(Vec3, Vec3, Vec3), eye: Vec3) -> (Vec3, Vec3) {
+    let &(position, axis, colour) = light;
+    if kind == Kind::Direction {
+        return (axis, colour);
+    }
+    let way = position - eye;
+    let wi = way.normalize();
+    let factor = match kind {
+        Kind::Patch => (-axis.dot(wi)).max(0.0),
+        _ => (0.3 - 2.0 * axis.dot(wi)).clamp(0.0, 1.0).powi(2),
+    };
+    (wi, colour * (factor / way.length_squared()))
+}
+
+struct Scene {
+    eyes: Vec<Eye>,
+    ends: Vec<EyeSample>,
+    scatterers: Scatterers,
+    /// Of each eye: its scattering, and local from world.
+    bsdfs: Vec<(Bsdf, Mat3, Vec3)>,
+}
+
+fn eyes(parameters: &BsdfParameters, next: &mut impl FnMut() -> [f32; 4]) -> Scene {
+    let mut scene = Scene {
+        eyes: vec![],
+        ends: vec![],
+        scatterers: Scatterers::default(),
+        bsdfs: vec![],
+    };
+    for sample in 0..40 {
+        let [x, y, z, w] = next();
+        let [u, v, s, t] = next();
+        let position = Vec3::new(x, y, z) * 4.0 - 2.0;
+        let shading_normal = warp::uniform_sphere(Vec2::new(u, v));
+        let (a, b) = warp::basis(shading_normal);
+        let normal = (shading_normal + a * (0.3 * w) + b * (0.2 * t)).normalize();
+        let wo = warp::uniform_hemisphere(Vec2::new(s, t));
+        let world_from_local = Mat3::from_cols(a, b, shading_normal);
+        let bsdf = Bsdf::new(parameters, wo).split().broad.unwrap();
+        let weight = Vec3::new(1.0, 0.7, 0.4);
+        let (scatter, weight) = match (bsdf.lambert(), bsdf.broad()) {
+            (Some(colour), _) => (Scatter::Lambert, weight * colour * FRAC_1_PI),
+            (None, Some(broad)) => {
+                scene.scatterers.closed.push(Closed {
+                    broad,
+                    wo: world_from_local * wo,
+                    cos_o: wo.z,
+                });
+                (Scatter::Closed(sample), weight)
+            }
+            (None, None) => {
+                scene.scatterers.layered.push(Layered {
+                    bsdf,
+                    local_from_world: world_from_local.transpose(),
+                    wo,
+                });
+                (Scatter::Layered(sample), weight)
+            }
+        };
+        let end = Endpoint::new(position, normal, 1.0);
+        scene.eyes.push(Eye {
+            position,
+            normal,
+            shading_normal,
+            weight,
+            events_left: (4.0 * s).floor(),
+            scatter,
+            sample,
+        });
+        scene.ends.push(EyeSample {
+            end,
+            origin: position,
+        });
+        scene.bsdfs.push((bsdf, world_from_local.transpose(), wo));
+    }
+    scene
+}
+
+fn shine(list: &LightList, scene: &Scene, clamp: f32) -> (Vec<Vec3>, Vec<Vec<u16>>, f64) {
+    let mut radiance = vec![Vec3::ZERO; scene.eyes.len()];
+    let mut asker = Asker {
+        lights: list,
+        eyes: &scene.eyes,
+        ends: &scene.ends,
+        scatterers: &scene.scatterers,
+        clamp,
+        panes: None,
+        radiance: &mut radiance,
+        clamped: 0.0,
+    };
+    let mut masks = Vec::new();
+    for block in 0..list.len().div_ceil(BLOCK) {
+        let mut wanted = vec![0; scene.eyes.len()];
+        asker.wanted(block, &mut wanted);
+        let seen = |mask: u16| std::array::from_fn(|l| f32::from(mask >> l & 1));
+        let answers: Vec<BlockAnswers> = wanted.iter().map(|&mask| seen(mask)).collect();
+        asker.take(block, &wanted, &answers);
+        masks.push(wanted);
+    }
+    let clamped = asker.clamped;
+    (radiance, masks, clamped)
+}
+
+#[test]
+fn blocks_equal_one_by_one() {
+    let lambert = BsdfParameters {
+        base_color: Vec3::new(0.8, 0.5, 0.2),
+        specular: 0.0,
+        ..BsdfParameters::default()
+    };
+    let closed = BsdfParameters {
+        specular: 1.0,
+        roughness: 0.6,
+        metallic: 0.5,
+        ..lambert
+    };
+    let layered = BsdfParameters {
+        clearcoat: 0.8,
+        clearcoat_roughness: 0.7,
+        ..closed
+    };
+    for (parameters, tolerance) in [(lambert, 1e-5), (closed, 0.02), (layered, 1e-4)] {
+        for kind in [Kind::Patch, Kind::Point, Kind::Direction] {
+            let mut next = numbers(7);
+            let (list, plain) = lights(kind, 45, &mut next);
+            let scene = eyes(&parameters, &mut next);
+            let (found, masks, clamped) = shine(&list, &scene, f32::INFINITY);
+            assert_eq!(clamped, 0.0);
+            for (e, eye) in scene.eyes.iter().enumerate() {
+                let (bsdf, local_from_world, wo) = &scene.bsdfs[e];
+                let mut sum = Vec3::ZERO;
+                for (l, light) in plain.iter().enumerate() {
+                    let (wi, arriving) = arriving(kind, light, eye.position);
+                    let in_front = wi.dot(eye.normal) > 0.0 && wi.dot(eye.shading_normal) > 0.0;
+                    let short_enough =
+                        kind != Kind::Patch || ((4.0 * light.2.x) as u32) as f32 <= eye.events_left;
+                    let wanted = in_front && short_enough && arriving != Vec3::ZERO;
+                    let asked = masks[l / BLOCK][e] >> (l % BLOCK) & 1 != 0;
+                    assert_eq!(asked, wanted, "{kind:?}, eye {e}, light {l}");
+                    if wanted {
+                        sum += bsdf.eval(*wo, *local_from_world * wi).0 * arriving;
+                    }
+                }
+                let sum = sum * Vec3::new(1.0, 0.7, 0.4);
+                let error = (found[e] - sum).abs().max_element();
+                assert!(
+                    error <= tolerance * sum.max_element() + 1e-6,
+                    "{kind:?}, eye {e}: {}, not {sum}",
+                    found[e]
+                );
+            }
+        }
+    }
+}
+
+/// The bound takes away what it says, from Lambert and other surfaces alike.
+#[test]
+fn the_clamp_is_measured() {
+    for specular in [0.0, 1.0] {
+        let parameters = BsdfParameters {
+            specular,
+            ..BsdfParameters::default()
+        };
+        let mut next = numbers(3);
+        let (list, plain) = lights(Kind::Patch, 33, &mut next);
+        let scene = eyes(&parameters, &mut next);
+        let (whole, ..) = shine(&list, &scene, f32::INFINITY);
+        let (rest, _, clamped) = shine(&list, &scene, 0.05);
+        let sum = |all: &[Vec3]| all.iter().map(|v| f64::from(v.element_sum())).sum::<f64>();
+        assert!(clamped > 0.1 * sum(&whole));
+        assert!((sum(&whole) - sum(&rest) - clamped).abs() < 1e-5 * sum(&whole));
+        if specular == 0.0 {
+            for (eye, found) in scene.eyes.iter().zip(&rest) {
+                let one = |l: &(Vec3, Vec3, Vec3)| {
+                    patch_on_lambert(eye, l.0, l.1, l.2, (4.0 * l.2.x) as u32, 0.05)
+                };
+                let sum: Vec3 = plain.iter().map(one).sum();
+                assert!((sum - *found).abs().max_element() < 1e-5 * (1.0 + sum.max_element()));
+            }
+        }
+    }
+}
+
+/// Instruction sets do not show in the result.
+#[test]
+#[cfg(target_arch = "x86_64")]
+fn instruction_sets_agree_to_the_bit() {
+    let parameters = BsdfParameters {
+        roughness: 0.5,
+        ..BsdfParameters::default()
+    };
+    let mut next = numbers(11);
+    let (list, _) = lights(Kind::Patch, 32, &mut next);
+    let scene = eyes(&parameters, &mut next);
+    let (best, ..) = shine(&list, &scene, 0.2);
+    let mut radiance = vec![Vec3::ZERO; scene.eyes.len()];
+    let mut asker = Asker {
+        lights: &list,
+        eyes: &scene.eyes,
+        ends: &scene.ends,
+        scatterers: &scene.scatterers,
+        clamp: 0.2,
+        panes: None,
+        radiance: &mut radiance,
+        clamped: 0.0,
+    };
+    for block in 0..2 {
+        let mut masks = vec![0; scene.eyes.len()];
+        wanted::<PATCH>(&asker, &list.blocks[block], &mut masks);
+        let seen = |mask: u16| std::array::from_fn(|l| f32::from(mask >> l & 1));
+        let answers: Vec<BlockAnswers> = masks.iter().map(|&mask| seen(mask)).collect();
+        take::<PATCH>(&mut asker, block, &masks, &answers);
+    }
+    assert_eq!(best, radiance);
+}

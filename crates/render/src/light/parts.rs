@@ -1,0 +1,90 @@
+//! Lights by kind, for renderers that treat kinds apart.
+
+use super::{Environment, Lights, Selector, emitter::Emitters};
+use glam::Vec3;
+use occlude_scene::{Pose, Scene};
+use std::sync::Arc;
+
+/// A light without extent.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum DeltaLight {
+    /// A point or a spot.
+    Point {
+        position: Vec3,
+        /// Radiant intensity in the brightest direction.
+        intensity: Vec3,
+        /// Of spots: axis, scale and offset of the falloff `clamp(scale * cos + offset, 0, 1)^2`.
+        cone: Option<(Vec3, f32, f32)>,
+    },
+    /// Infinitely far away.
+    Direction {
+        /// Unit vector towards it.
+        towards: Vec3,
+        /// Irradiance on a facing surface.
+        irradiance: Vec3,
+    },
+}
+
+impl Lights {
+    /// The lights without extent.
+    pub(crate) fn deltas(&self) -> impl Iterator<Item = DeltaLight> {
+        let points = self.points.iter().map(|light| DeltaLight::Point {
+            position: light.position,
+            intensity: light.intensity,
+            cone: light.cone.as_ref().map(|cone| cone.ramp()),
+        });
+        let directions = self.directions.iter().map(|light| DeltaLight::Direction {
+            towards: light.towards,
+            irradiance: light.irradiance,
+        });
+        points.chain(directions)
+    }
+
+    /// The lights without extent alone.
+    pub(crate) fn without_extent(&self, scene: &Scene, pose: &Pose) -> Self {
+        self.part(
+            scene,
+            pose,
+            Self {
+                points: self.points.clone(),
+                directions: self.directions.clone(),
+                ..Self::none(self.selection)
+            },
+        )
+    }
+
+    /// Emissive surfaces and suns alone.
+    pub(crate) fn areas(&self, scene: &Scene, pose: &Pose) -> Self {
+        self.part(
+            scene,
+            pose,
+            Self {
+                emitters: Arc::clone(&self.emitters),
+                suns: self.suns.clone(),
+                ..Self::none(self.selection)
+            },
+        )
+    }
+
+    /// The environment without suns, if it shines.
+    pub(crate) fn sky(&self) -> Option<&Environment> {
+        self.environment.as_ref()
+    }
+
+    fn none(selection: super::LightSelection) -> Self {
+        Self {
+            points: Vec::new(),
+            emitters: Arc::new(Emitters::default()),
+            directions: Vec::new(),
+            suns: Vec::new(),
+            environment: None,
+            selection,
+            selector: Selector::Nothing,
+        }
+    }
+
+    fn part(&self, scene: &Scene, pose: &Pose, mut part: Self) -> Self {
+        part.select(scene, pose);
+        part
+    }
+}
