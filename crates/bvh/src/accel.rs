@@ -92,6 +92,8 @@ pub struct Blocker {
 pub struct Stats {
     /// Triangles in the trees; those of a mesh with a tree of its own count once.
     pub triangles: u64,
+    /// Triangles in the leaves of all trees: a cut triangle is in several.
+    pub references: u64,
     /// Triangles as seen in the world: those of every instance.
     pub world_triangles: u64,
     /// Instances that were copied into the world-space tree.
@@ -416,7 +418,7 @@ impl Accel {
             .map(|(mesh, &has_tree)| {
                 let count = if has_tree { mesh.triangles.len() } else { 0 };
                 let refs = Refs::gather(count, 0, keep, |p| vertices(mesh, p));
-                let tree = build::build(refs.refs, &OwnTriangles(mesh), options.watertight);
+                let tree = build::build(refs.refs, &OwnTriangles(mesh), options);
                 (tree, refs.invalid, refs.degenerate)
             })
             .collect();
@@ -472,7 +474,7 @@ impl Accel {
             instances,
             ids: &ids,
         };
-        let top = build::build(refs.refs, &world, options.watertight);
+        let top = build::build(refs.refs, &world, options);
         Ok(Self {
             simd: Simd::detect(),
             options: *options,
@@ -654,8 +656,7 @@ impl Accel {
                 .map(|b| b.ids.iter().filter(|&&id| id != NO_TRIANGLE).count() as u64)
                 .sum::<u64>()
         };
-        let own: Vec<u64> = self.trees.iter().map(used).collect();
-        let top = used(&self.top);
+        let own = |mesh: u32| self.trees[mesh as usize].triangles as u64;
         let bytes = trees().map(Tree::bytes).sum::<usize>()
             + self.ids.bytes()
             + size_of_val(&self.placed[..])
@@ -664,13 +665,10 @@ impl Accel {
             + size_of_val(&self.instances[..])
             + size_of_val(&self.trees[..]);
         Stats {
-            triangles: top + own.iter().sum::<u64>(),
-            world_triangles: top
-                + self
-                    .placed
-                    .iter()
-                    .map(|p| own[p.mesh as usize])
-                    .sum::<u64>(),
+            triangles: trees().map(|t| t.triangles as u64).sum(),
+            references: trees().map(used).sum(),
+            world_triangles: self.top.triangles as u64
+                + self.placed.iter().map(|p| own(p.mesh)).sum::<u64>(),
             flattened: self.flattened.iter().filter(|&&f| f).count() as u64,
             placed: self.placed.len() as u64,
             dropped_invalid: self.dropped_invalid,

@@ -1,7 +1,8 @@
 //! Exact rays: an 8-wide bounding volume hierarchy for triangles and instances.
 //!
 //! [`Accel`] answers closest-hit and any-hit questions about triangle meshes, one ray at a time or in batches. It is built
-//! by binned SAH (Wald 2007, "On fast construction of SAH-based bounding volume hierarchies") down to single triangles and
+//! by binned SAH (Wald 2007, "On fast construction of SAH-based bounding volume hierarchies") down to single triangles,
+//! cutting triangles where boxes overlap much (Stich et al. 2009, "Spatial splits in bounding volume hierarchies"), and
 //! then collapsed into 8-wide nodes by dynamic programming over the same cost (Ylitie et al. 2017, section 3.1), with leaves
 //! of blocks of four triangles. Meshes that are used many times keep a tree of their own below the top tree.
 //!

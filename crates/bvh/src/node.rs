@@ -203,6 +203,8 @@ pub(crate) struct Tree {
     pub nodes: Buffer<Node>,
     pub blocks: Buffer<Block>,
     pub bounds: Bounds,
+    /// Triangles, each counted once however many leaves it is in.
+    pub triangles: usize,
     /// Nodes on the longest way down.
     pub depth: usize,
     /// Expected cost of a ray that meets the box, at the time of the build.

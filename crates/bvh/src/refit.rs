@@ -11,7 +11,9 @@ impl Accel {
     /// instance shows, and what is filtered must be those of the build.
     ///
     /// Much faster than building, but rays slow down as the triangles move away from where they were: compare
-    /// [`Stats::cost`](crate::Stats::cost) with [`Stats::built_cost`](crate::Stats::built_cost). Triangles that the build
+    /// [`Stats::cost`](crate::Stats::cost) with [`Stats::built_cost`](crate::Stats::built_cost). Triangles that the build cut
+    /// are whole afterwards in each of their leaves: right, but slower than if they had never been cut (see
+    /// [`whole_triangles`](crate::BuildOptions::whole_triangles)). Triangles that the build
     /// dropped stay dropped (see [`keep_degenerate`](crate::BuildOptions::keep_degenerate)); a triangle that is not finite
     /// now is not hit until the next refit.
     ///

@@ -53,7 +53,7 @@ impl Accel {
         }
         let mut node_seen = vec![false; tree.nodes.len()];
         let mut block_seen = vec![false; tree.blocks.len()];
-        let mut ids = Vec::with_capacity(LANES * tree.blocks.len());
+        let mut found = Vec::with_capacity(LANES * tree.blocks.len());
         let mut waiting = vec![(0, tree.bounds, 1)];
         while let Some((index, bounds, depth)) = waiting.pop() {
             if std::mem::replace(&mut node_seen[index], true) {
@@ -94,7 +94,7 @@ impl Accel {
                         if std::mem::replace(&mut block_seen[b], true) {
                             return Err(format!("block {b} is reached twice"));
                         }
-                        self.check_block(block, &inside, &mut ids)
+                        self.check_block(block, &inside, &mut found)
                             .map_err(|e| format!("block {b}: {e}"))?;
                     }
                 }
@@ -103,18 +103,35 @@ impl Accel {
         if node_seen.contains(&false) || block_seen.contains(&false) {
             return Err("a node or block is not reached".into());
         }
-        ids.sort_unstable();
-        if ids.windows(2).any(|w| w[0] == w[1]) {
-            return Err("a triangle is there twice".into());
+        found.sort_unstable();
+        let mut triangles = 0;
+        for leaves in found.chunk_by(|a, b| a.0 == b.0) {
+            triangles += 1;
+            if self.options.whole_triangles && leaves.len() > 1 {
+                return Err(format!("triangle {} is there twice", leaves[0].0));
+            }
+            // Each corner lies in the box of some leaf that has the triangle.
+            if leaves.iter().fold(0, |all, leaf| all | leaf.1) != self.all_corners() {
+                return Err(format!("triangle {} leaves its leaves' boxes", leaves[0].0));
+            }
+        }
+        if triangles != tree.triangles {
+            return Err(format!("{triangles} triangles of {}", tree.triangles));
         }
         Ok(())
     }
 
+    /// A bit for each corner that a block holds exactly: the edges of the fast test round.
+    fn all_corners(&self) -> u8 {
+        if self.is_watertight() { 0b111 } else { 0b1 }
+    }
+
+    /// Adds the block's triangles, and which of their corners lie in the leaf's box.
     fn check_block(
         &self,
         block: &Block,
         bounds: &Bounds,
-        ids: &mut Vec<u32>,
+        found: &mut Vec<(u32, u8)>,
     ) -> Result<(), String> {
         for lane in 0..LANES {
             if block.ids[lane] == NO_TRIANGLE {
@@ -123,23 +140,18 @@ impl Accel {
                 }
                 continue;
             }
-            ids.push(block.ids[lane]);
-            // The edges of the fast test round, so only the first corner is exact there.
-            let exact = if self.is_watertight() { 3 } else { 1 };
-            for corner in 0..exact {
+            let mut inside = 0;
+            for corner in 0..3 {
                 let p = Vec3::from_array(std::array::from_fn(|axis| {
                     block.corners[corner][axis][lane]
                 }));
-                let point = Bounds { lower: p, upper: p };
-                if !bounds.contains(&point)
-                    && block.corners.iter().flatten().any(|row| row[lane] != 0.0)
-                {
-                    return Err(format!(
-                        "triangle {} leaves its leaf's box",
-                        block.ids[lane]
-                    ));
-                }
+                inside |= u8::from(bounds.contains(&Bounds { lower: p, upper: p })) << corner;
             }
+            // A triangle that is not finite since a refit is not there to be hit.
+            if block.corners.iter().flatten().all(|row| row[lane] == 0.0) {
+                inside = self.all_corners();
+            }
+            found.push((block.ids[lane], inside & self.all_corners()));
         }
         Ok(())
     }

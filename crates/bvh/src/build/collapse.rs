@@ -36,7 +36,12 @@ type Choice = [u8; WIDTH];
 type Costs = [f32; WIDTH - 1];
 
 /// Turns the binary tree into a wide one.
-pub(super) fn collapse(binary: &Binary, triangles: &impl Triangles, watertight: bool) -> Tree {
+pub(super) fn collapse(
+    binary: &Binary,
+    triangles: &impl Triangles,
+    watertight: bool,
+    tree: &mut Tree,
+) {
     let collapser = Collapser {
         binary,
         choices: choose(binary),
@@ -44,16 +49,12 @@ pub(super) fn collapse(binary: &Binary, triangles: &impl Triangles, watertight: 
         watertight,
     };
     let out = collapser.write(0);
-    let mut tree = Tree {
-        nodes: Buffer::from_slice(&out.nodes),
-        blocks: Buffer::from_slice(&out.blocks),
-        bounds: bounds_of(&binary.nodes[0].hull),
-        depth: out.depth,
-        built_cost: 0.0,
-    };
+    tree.nodes = Buffer::from_slice(&out.nodes);
+    tree.blocks = Buffer::from_slice(&out.blocks);
+    tree.bounds = bounds_of(&binary.nodes[0].hull);
+    tree.depth = out.depth;
     assert!(tree.depth <= MAX_DEPTH, "the binary tree bounds the depth");
-    tree.built_cost = cost(&tree);
-    tree
+    tree.built_cost = cost(tree);
 }
 
 /// Expected node visits and weighted block tests of a ray that meets the tree's box.
@@ -113,6 +114,9 @@ fn choose(binary: &Binary) -> Buffer<Choice> {
         choose_one(node, &below, &mut choices[n])
     };
     for left in (1..nodes.len()).step_by(2).rev() {
+        if nodes[left].count() == 0 {
+            continue;
+        }
         let l = know(left, &mut waiting);
         let r = know(left + 1, &mut waiting);
         waiting.push([l, r]);
@@ -236,7 +240,7 @@ impl<T: Triangles> Collapser<'_, T> {
             depth: 0,
         };
         let count = self.binary.nodes[n].count();
-        if count <= PARALLEL.max(self.binary.refs.len() / 16) {
+        if count <= PARALLEL.max(self.binary.nodes[0].count() / 16) {
             // About what full nodes and nearly full blocks need.
             out.nodes.reserve(count / 20);
             out.blocks.reserve(count / 3);

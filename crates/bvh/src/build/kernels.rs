@@ -97,6 +97,8 @@ pub(super) struct Plane {
     pub axis: usize,
     /// First bin on the right.
     pub bin: usize,
+    /// Sum of area times blocks.
+    pub cost: f32,
     pub hulls: [Hull; 2],
 }
 
@@ -108,7 +110,7 @@ pub(super) fn centre(h: &Hull) -> Hull {
 
 /// Blocks that hold so many triangles.
 #[inline(always)]
-fn blocks(count: usize) -> f32 {
+pub(super) fn blocks(count: usize) -> f32 {
     count.div_ceil(LANES) as f32
 }
 
@@ -128,6 +130,7 @@ pub(super) trait Arithmetic {
 pub(super) trait Kernels {
     unsafe fn bin(refs: &[Ref], grid: &Grid, bins: &mut Bins);
     unsafe fn choose(bins: &Bins, grid: &Grid) -> Option<Plane>;
+    /// Leaves the left side in front and puts the right side into `scratch`.
     unsafe fn partition(refs: &mut [Ref], scratch: &mut [Ref], grid: &Grid, plane: &Plane)
     -> Split;
     unsafe fn sweep(refs: &mut [Ref]) -> Option<Split>;
@@ -185,6 +188,7 @@ fn choose<A: Arithmetic>(bins: &Bins, grid: &Grid) -> Option<Plane> {
         Plane {
             axis,
             bin,
+            cost: best,
             hulls: [side(0..bin), side(bin..grid.bins)],
         }
     })
@@ -212,7 +216,7 @@ fn partition<A: Arithmetic>(
         *left_centres = A::union_if(!goes_right, left_centres, &c);
         *right_centres = A::union_if(goes_right, right_centres, &c);
     }
-    refs[left..].copy_from_slice(&scratch[..right]);
+    debug_assert_eq!(left + right, refs.len());
     Split {
         at: left,
         hulls: plane.hulls,

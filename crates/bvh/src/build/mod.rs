@@ -1,14 +1,16 @@
 //! From triangles and placed instances to a [`Tree`].
 //!
-//! Three passes: references with boxes ([`Ref`]), a binary tree over them by binned SAH ([`sah`]), and the collapse of that
-//! into 8-wide nodes ([`collapse`]). Each is a pure function of its input: threads only share the work.
+//! Three passes: references with boxes ([`Ref`]), a binary tree over them by binned SAH ([`sah`]) that cuts triangles where
+//! that pays ([`spatial`]), and the collapse of that into 8-wide nodes ([`collapse`]). Each is a pure function of its input: threads only share the work.
 
 pub(crate) mod collapse;
 mod kernels;
 mod sah;
+mod spatial;
 
 use crate::buffer::Buffer;
-use crate::node::{Block, Bounds, Tree};
+use crate::input::BuildOptions;
+use crate::node::{Block, Bounds, MAX_TRIANGLES, Tree};
 use glam::Vec3;
 
 /// Bit of [`Ref::instance`]: the reference is a placed instance, not a triangle.
@@ -93,19 +95,34 @@ pub(crate) trait Triangles: Sync {
     fn triangle(&self, reference: &Ref) -> ([Vec3; 3], u32);
 }
 
+/// Extra references for cut triangles, at most, by the number of triangles. Few scenes use half of it.
+const ROOM: f32 = 0.2;
+
 /// Builds a tree. Costs are in units of one node visit.
-pub(crate) fn build(refs: Vec<Ref>, triangles: &impl Triangles, watertight: bool) -> Tree {
+pub(crate) fn build(refs: Vec<Ref>, triangles: &impl Triangles, options: &BuildOptions) -> Tree {
+    let mut tree = Tree {
+        nodes: Buffer::zeroed(0),
+        blocks: Buffer::zeroed(0),
+        bounds: Bounds::EMPTY,
+        triangles: refs.iter().filter(|r| !r.is_placed()).count(),
+        depth: 0,
+        built_cost: 0.0,
+    };
     if refs.is_empty() {
-        return Tree {
-            nodes: Buffer::zeroed(0),
-            blocks: Buffer::zeroed(0),
-            bounds: Bounds::EMPTY,
-            depth: 0,
-            built_cost: 0.0,
-        };
+        return tree;
     }
-    let binary = sah::build(refs);
-    collapse::collapse(&binary, triangles, watertight)
+    let count = refs.len();
+    let mut room = count;
+    if !options.whole_triangles {
+        room +=
+            ((count as f32 * ROOM) as usize).min((MAX_TRIANGLES as usize).saturating_sub(count));
+    }
+    let mut all = Buffer::zeroed(room);
+    all[..count].copy_from_slice(&refs);
+    drop(refs);
+    let binary = sah::build(all, count, triangles);
+    collapse::collapse(&binary, triangles, options.watertight, &mut tree);
+    tree
 }
 
 /// Puts the vertices of a run of references into blocks.

@@ -1,8 +1,6 @@
 //! AVX2 and FMA: a node in six fused multiply-adds, a block in one pass.
 
-use super::{
-    Edges, Found, Isa, Lanes, Query, Reciprocal, Scope, Slabs, Stack, entry, entry_points, portable,
-};
+use super::{Edges, Found, Isa, Lanes, Query, Reciprocal, Scope, Slabs, entry_points, portable};
 use crate::accel::Accel;
 use crate::filter::HitFilter;
 use crate::node::{Block, Child, LANES, Node, Tree, WIDTH};
@@ -57,39 +55,9 @@ pub(crate) struct Avx2Slabs {
     entering: [usize; 3],
 }
 
-impl Avx2Slabs {
-    /// Where the ray enters each box, and in which lanes it leaves it later.
-    #[inline(always)]
-    unsafe fn test(&self, node: &Node, t_max: f32) -> (__m256, __m256) {
-        // SAFETY: the processor has AVX2, as promised by the caller.
-        unsafe {
-            let near = |axis: usize| {
-                let planes = planes(node, self.entering[axis]);
-                _mm256_mul_ps(
-                    _mm256_sub_ps(self.origin[axis], planes),
-                    self.near_scale[axis],
-                )
-            };
-            let far = |axis: usize| {
-                let planes = planes(node, self.entering[axis] ^ WIDTH);
-                _mm256_mul_ps(
-                    _mm256_sub_ps(self.origin[axis], planes),
-                    self.far_scale[axis],
-                )
-            };
-            // Of a NaN and a number these take the second operand: unknown distances drop out.
-            let enter = _mm256_max_ps(
-                near(0),
-                _mm256_max_ps(near(1), _mm256_max_ps(near(2), self.t_min)),
-            );
-            let end = _mm256_set1_ps(t_max);
-            let leave = _mm256_min_ps(far(0), _mm256_min_ps(far(1), _mm256_min_ps(far(2), end)));
-            (enter, _mm256_cmp_ps::<_CMP_LE_OQ>(enter, leave))
-        }
-    }
-}
-
 impl Slabs for Avx2Slabs {
+    type Near = __m256;
+
     #[inline(always)]
     unsafe fn new(ray: &Ray) -> Self {
         let reciprocal = Reciprocal::new(ray);
@@ -116,78 +84,43 @@ impl Slabs for Avx2Slabs {
     }
 
     #[inline(always)]
-    unsafe fn nearest<I: Isa>(
-        &self,
-        tree: &Tree,
-        node: &Node,
-        t_max: f32,
-        stack: &mut Stack,
-    ) -> Child {
-        // SAFETY: the processor has AVX2 and there is room, as promised by the caller; lanes are below 8.
+    unsafe fn test(&self, node: &Node, t_max: f32) -> (u32, __m256) {
+        // SAFETY: the processor has AVX2, as promised by the caller.
         unsafe {
-            let (near, met) = self.test(node, t_max);
-            let mut mask = _mm256_movemask_ps(met) as u32;
-            if mask == 0 {
-                return stack.pop(t_max);
-            }
-            let first = mask.trailing_zeros() as usize;
-            mask &= mask - 1;
-            if mask == 0 {
-                return *node.children.get_unchecked(first);
-            }
-            let mut distances = [0.0; WIDTH];
-            _mm256_storeu_ps(distances.as_mut_ptr(), near);
-            let entry = |lane: usize| {
-                entry(
-                    *distances.get_unchecked(lane),
-                    *node.children.get_unchecked(lane),
+            // Which child is next is known only after the test: its line must not be asked for as late as that.
+            _mm_prefetch::<_MM_HINT_T0>(node.children.as_ptr().cast());
+            let near = |axis: usize| {
+                let planes = planes(node, self.entering[axis]);
+                _mm256_mul_ps(
+                    _mm256_sub_ps(self.origin[axis], planes),
+                    self.near_scale[axis],
                 )
             };
-            let a = entry(first);
-            let b = entry(mask.trailing_zeros() as usize);
-            mask &= mask - 1;
-            let (nearest, other) = (a.min(b), a.max(b));
-            if mask == 0 {
-                stack.push(other);
-                I::prefetch(tree, Child(other as u32));
-                return Child(nearest as u32);
-            }
-            let base = stack.waiting;
-            stack.push(other);
-            stack.push(nearest);
-            while mask != 0 {
-                let lane = mask.trailing_zeros() as usize;
-                mask &= mask - 1;
-                stack.insert(base, entry(lane));
-            }
-            let next = stack.pop_any();
-            I::prefetch(tree, stack.top());
-            next
+            let far = |axis: usize| {
+                let planes = planes(node, self.entering[axis] ^ WIDTH);
+                _mm256_mul_ps(
+                    _mm256_sub_ps(self.origin[axis], planes),
+                    self.far_scale[axis],
+                )
+            };
+            // Of a NaN and a number these take the second operand: unknown distances drop out.
+            let enter = _mm256_max_ps(
+                near(0),
+                _mm256_max_ps(near(1), _mm256_max_ps(near(2), self.t_min)),
+            );
+            let end = _mm256_set1_ps(t_max);
+            let leave = _mm256_min_ps(far(0), _mm256_min_ps(far(1), _mm256_min_ps(far(2), end)));
+            let met = _mm256_cmp_ps::<_CMP_LE_OQ>(enter, leave);
+            (_mm256_movemask_ps(met) as u32, enter)
         }
     }
 
     #[inline(always)]
-    unsafe fn any<I: Isa>(&self, tree: &Tree, node: &Node, t_max: f32, stack: &mut Stack) -> Child {
-        // SAFETY: the processor has AVX2 and there is room, as promised by the caller; lanes are below 8.
-        unsafe {
-            let (_, met) = self.test(node, t_max);
-            let mut mask = _mm256_movemask_ps(met) as u32;
-            if mask == 0 {
-                return stack.pop_any();
-            }
-            let first = mask.trailing_zeros() as usize;
-            let next = *node.children.get_unchecked(first);
-            mask &= mask - 1;
-            // From the highest lane down, so that the lowest comes first.
-            while mask != 0 {
-                let lane = 31 - mask.leading_zeros();
-                mask ^= 1 << lane;
-                let child = *node.children.get_unchecked(lane as usize);
-                stack.push(u64::from(child.0));
-                I::prefetch(tree, child);
-            }
-            next
-        }
+    unsafe fn distances(near: __m256) -> [f32; WIDTH] {
+        let mut distances = [0.0; WIDTH];
+        // SAFETY: the array has eight floats.
+        unsafe { _mm256_storeu_ps(distances.as_mut_ptr(), near) };
+        distances
     }
 }
 

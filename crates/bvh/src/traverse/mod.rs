@@ -8,11 +8,12 @@
 mod avx2;
 #[cfg(target_arch = "aarch64")]
 mod neon;
+mod packet;
 mod portable;
 
 use crate::accel::Accel;
 use crate::filter::HitFilter;
-use crate::node::{Block, Child, FILTERED, LANES, NO_TRIANGLE, Node, STACK, Tree};
+use crate::node::{Block, Child, FILTERED, LANES, NO_TRIANGLE, Node, STACK, Tree, WIDTH};
 use occlude_visibility::{Hit, Ray};
 use std::mem::MaybeUninit;
 
@@ -109,6 +110,18 @@ pub(crate) struct Scope<'a> {
     pub placed: u32,
 }
 
+impl<'a> Scope<'a> {
+    /// The world-space tree.
+    #[inline(always)]
+    fn top<F>(query: &Query<'a, F>) -> Self {
+        Self {
+            tree: query.accel.top(),
+            ray: query.ray,
+            placed: BY_ID,
+        }
+    }
+}
+
 /// Lanes of a block that the ray hits between its ends, and where.
 #[derive(Clone, Copy)]
 pub(crate) struct Lanes {
@@ -180,7 +193,6 @@ impl Stack {
     ///
     /// # Safety
     /// The walk has not ended.
-    #[cfg_attr(not(target_arch = "x86_64"), allow(dead_code))]
     #[inline(always)]
     unsafe fn top(&self) -> Child {
         // SAFETY: entries up to `waiting` were written.
@@ -224,29 +236,111 @@ impl Stack {
 /// Subtracts, then multiplies: exact where the ray starts near a plane, whatever the direction; the leaving distances are
 /// enlarged by more than the rounding of the rest (Ize 2013, "Robust BVH ray traversal"). So no box is missed.
 pub(crate) trait Slabs: Sized {
+    /// Where the ray enters each box.
+    type Near: Copy;
+
     /// # Safety
     /// The processor has the features of the [`Isa`].
     unsafe fn new(ray: &Ray) -> Self;
 
-    /// The nearest child that the ray meets before `t_max`, the others go on the stack, the farthest first. If there is
-    /// none, the next from the stack.
+    /// Which children the ray meets before `t_max`, as bits, and where it enters them.
     ///
     /// # Safety
-    /// The processor has the features of the [`Isa`]; the stack has room for all children.
-    unsafe fn nearest<I: Isa>(
-        &self,
-        tree: &Tree,
-        node: &Node,
-        t_max: f32,
-        stack: &mut Stack,
-    ) -> Child;
+    /// The processor has the features of the [`Isa`].
+    unsafe fn test(&self, node: &Node, t_max: f32) -> (u32, Self::Near);
 
-    /// Some child that the ray meets before `t_max`, the others go on the stack. If there is none, the next from the
-    /// stack. Distances are not kept.
+    /// Distances by child.
     ///
     /// # Safety
-    /// The processor has the features of the [`Isa`]; the stack has room for all children.
-    unsafe fn any<I: Isa>(&self, tree: &Tree, node: &Node, t_max: f32, stack: &mut Stack) -> Child;
+    /// The processor has the features of the [`Isa`].
+    unsafe fn distances(near: Self::Near) -> [f32; WIDTH];
+}
+
+/// The nearest child that the ray meets before `t_max`, the others go on the stack, the farthest first. If there is
+/// none, the next from the stack.
+///
+/// # Safety
+/// The processor has the features of the [`Isa`]; the stack has room for all children.
+#[inline(always)]
+unsafe fn nearest<I: Isa>(
+    slabs: &I::Slabs,
+    tree: &Tree,
+    node: &Node,
+    t_max: f32,
+    stack: &mut Stack,
+) -> Child {
+    // SAFETY: as promised by the caller; lanes are below 8, and entries above `base` are inserted here.
+    unsafe {
+        let (mut mask, near) = slabs.test(node, t_max);
+        if mask == 0 {
+            return stack.pop(t_max);
+        }
+        let first = mask.trailing_zeros() as usize;
+        mask &= mask - 1;
+        if mask == 0 {
+            return *node.children.get_unchecked(first);
+        }
+        let distances = I::Slabs::distances(near);
+        let entry = |lane: usize| {
+            entry(
+                *distances.get_unchecked(lane),
+                *node.children.get_unchecked(lane),
+            )
+        };
+        let a = entry(first);
+        let b = entry(mask.trailing_zeros() as usize);
+        mask &= mask - 1;
+        let (nearest, other) = (a.min(b), a.max(b));
+        if mask == 0 {
+            stack.push(other);
+            I::prefetch(tree, Child(other as u32));
+            return Child(nearest as u32);
+        }
+        let base = stack.waiting;
+        stack.push(other);
+        stack.push(nearest);
+        while mask != 0 {
+            let lane = mask.trailing_zeros() as usize;
+            mask &= mask - 1;
+            stack.insert(base, entry(lane));
+        }
+        let next = stack.pop_any();
+        I::prefetch(tree, stack.top());
+        next
+    }
+}
+
+/// Some child that the ray meets before `t_max`, the others go on the stack. If there is none, the next from the
+/// stack. Distances are not kept.
+///
+/// # Safety
+/// The processor has the features of the [`Isa`]; the stack has room for all children.
+#[inline(always)]
+unsafe fn any<I: Isa>(
+    slabs: &I::Slabs,
+    tree: &Tree,
+    node: &Node,
+    t_max: f32,
+    stack: &mut Stack,
+) -> Child {
+    // SAFETY: as promised by the caller; lanes are below 8.
+    unsafe {
+        let (mut mask, _) = slabs.test(node, t_max);
+        if mask == 0 {
+            return stack.pop_any();
+        }
+        let next = *node.children.get_unchecked(mask.trailing_zeros() as usize);
+        mask &= mask - 1;
+        // From the highest lane down, so that the lowest comes first.
+        while mask != 0 {
+            let lane = 31 - mask.leading_zeros();
+            mask ^= 1 << lane;
+            let child = *node.children.get_unchecked(lane as usize);
+            stack.push(u64::from(child.0));
+            I::prefetch(tree, child);
+        }
+        next
+    }
 }
 
 /// What [`Slabs`] need to know of a ray.
@@ -309,7 +403,6 @@ pub(crate) trait Isa {
     type Tight: Edges<true>;
 
     /// Asks the memory for a child that waits.
-    #[cfg_attr(not(target_arch = "x86_64"), allow(dead_code))]
     unsafe fn prefetch(tree: &Tree, child: Child);
 
     /// Traces through the top tree and what it holds: with `TOP` placed instances too, with `WATERTIGHT` blocks for the
@@ -326,6 +419,13 @@ pub(crate) trait Isa {
     ) -> bool;
     /// Tests one block.
     unsafe fn block<F: HitFilter>(query: &Query<F>, scope: &Scope, block: u32) -> bool;
+    /// Any-hit for eight rays at most, together; the constants as for [`Self::trace`].
+    unsafe fn packet<F: HitFilter, const TOP: bool, const WATERTIGHT: bool>(
+        accel: &Accel,
+        rays: &[Ray],
+        filter: &F,
+        occluded: &mut [bool],
+    );
     /// Any-hit for many rays.
     unsafe fn occluded_batch<F: HitFilter>(
         accel: &Accel,
@@ -356,13 +456,8 @@ unsafe fn trace<I: Isa, F: HitFilter, const ANY: bool, const TOP: bool, const WA
     query: &Query<F>,
     found: &mut Found,
 ) -> bool {
-    let scope = Scope {
-        tree: query.accel.top(),
-        ray: query.ray,
-        placed: BY_ID,
-    };
     // SAFETY: as promised by the caller.
-    unsafe { start::<I, F, ANY, TOP, WATERTIGHT>(query, &scope, found) }
+    unsafe { start::<I, F, ANY, TOP, WATERTIGHT>(query, &Scope::top(query), found) }
 }
 
 /// [`trace`] with whatever the structure holds.
@@ -419,15 +514,15 @@ unsafe fn start<I: Isa, F: HitFilter, const ANY: bool, const TOP: bool, const WA
         let slabs = I::Slabs::new(scope.ray);
         if WATERTIGHT {
             let edges = I::Tight::new(scope.ray);
-            walk::<I, _, F, ANY, TOP, true>(query, scope, &slabs, &edges, found)
+            walk::<I, _, F, ANY, TOP, true>(query, scope, &slabs, &edges, Child::node(0), found)
         } else {
             let edges = I::Thin::new(scope.ray);
-            walk::<I, _, F, ANY, TOP, false>(query, scope, &slabs, &edges, found)
+            walk::<I, _, F, ANY, TOP, false>(query, scope, &slabs, &edges, Child::node(0), found)
         }
     }
 }
 
-/// Visits nodes until nothing waits. Returns whether something was hit; with `ANY` at the first such.
+/// Visits what is below `from` until nothing waits. Returns whether something was hit; with `ANY` at the first such.
 #[inline(always)]
 unsafe fn walk<
     I: Isa,
@@ -441,13 +536,14 @@ unsafe fn walk<
     scope: &Scope,
     slabs: &I::Slabs,
     edges: &E,
+    from: Child,
     found: &mut Found,
 ) -> bool {
     let tree = scope.tree;
     let (nodes, blocks) = (tree.nodes.as_ptr(), tree.blocks.as_ptr());
     let mut stack = MaybeUninit::uninit();
     let stack = Stack::start(&mut stack);
-    let mut current = Child::node(0);
+    let mut current = from;
     let mut any = false;
     // SAFETY: the tree is valid: a child that is met names a node, blocks or an instance that exist, and no way down is
     // longer than MAX_DEPTH, so that STACK suffices. An unused child is never met: its box is empty.
@@ -456,9 +552,9 @@ unsafe fn walk<
             while !current.is_leaf() {
                 let node = &*nodes.add(current.0 as usize);
                 current = if ANY {
-                    slabs.any::<I>(tree, node, found.t, stack)
+                    self::any::<I>(slabs, tree, node, found.t, stack)
                 } else {
-                    slabs.nearest::<I>(tree, node, found.t, stack)
+                    nearest::<I>(slabs, tree, node, found.t, stack)
                 };
             }
             if current.is_instance() {
@@ -563,21 +659,6 @@ unsafe fn block<I: Isa, F: HitFilter>(query: &Query<F>, scope: &Scope, index: u3
     keep::<F, true>(query, scope, block, index, &lanes, &mut found)
 }
 
-/// [`Isa::occluded_batch`], to be compiled under the features of `I`.
-#[inline(always)]
-unsafe fn occluded_batch<I: Isa, F: HitFilter>(
-    accel: &Accel,
-    rays: &[Ray],
-    filter: &F,
-    occluded: &mut [bool],
-) {
-    for (ray, answer) in rays.iter().zip(occluded) {
-        let query = Query { accel, ray, filter };
-        // SAFETY: as promised by the caller.
-        *answer = unsafe { trace_any_kind::<I, F, true>(&query, &mut Found::nothing(ray)) };
-    }
-}
-
 /// [`Isa::closest_batch`], to be compiled under the features of `I`.
 #[inline(always)]
 unsafe fn closest_batch<I: Isa, F: HitFilter>(
@@ -617,9 +698,19 @@ macro_rules! entry_points {
             unsafe { super::block::<Self, F>(query, scope, block) }
         }
         $(#[target_feature(enable = $feature)])?
+        unsafe fn packet<F: HitFilter, const TOP: bool, const WATERTIGHT: bool>(
+            accel: &Accel,
+            rays: &[Ray],
+            filter: &F,
+            occluded: &mut [bool],
+        ) {
+            // SAFETY: as promised by the caller.
+            unsafe { super::packet::packet::<Self, F, TOP, WATERTIGHT>(accel, rays, filter, occluded) }
+        }
+        $(#[target_feature(enable = $feature)])?
         unsafe fn occluded_batch<F: HitFilter>(accel: &Accel, rays: &[Ray], filter: &F, occluded: &mut [bool]) {
             // SAFETY: as promised by the caller.
-            unsafe { super::occluded_batch::<Self, F>(accel, rays, filter, occluded) }
+            unsafe { super::packet::occluded_batch::<Self, F>(accel, rays, filter, occluded) }
         }
         $(#[target_feature(enable = $feature)])?
         unsafe fn closest_batch<F: HitFilter>(accel: &Accel, rays: &[Ray], filter: &F, hits: &mut [Option<Hit>]) {

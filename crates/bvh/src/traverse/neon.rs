@@ -1,9 +1,7 @@
 //! NEON of aarch64: a node in two halves of four boxes, a block in one pass. Rounds where AVX2 with FMA
 //! rounds. Tested under an emulator only, never timed.
 
-use super::{
-    Edges, Found, Isa, Lanes, Query, Reciprocal, Scope, Slabs, Stack, entry, entry_points, portable,
-};
+use super::{Edges, Found, Isa, Lanes, Query, Reciprocal, Scope, Slabs, entry_points, portable};
 use crate::accel::Accel;
 use crate::filter::HitFilter;
 use crate::node::{Block, Child, LANES, Node, Tree, WIDTH};
@@ -45,10 +43,26 @@ pub(crate) struct NeonSlabs {
     entering: [usize; 3],
 }
 
-impl NeonSlabs {
-    /// Where the ray enters each box, and in which lanes it leaves it later.
+impl Slabs for NeonSlabs {
+    type Near = [float32x4_t; 2];
+
     #[inline(always)]
-    unsafe fn test(&self, node: &Node, t_max: f32) -> ([float32x4_t; 2], [uint32x4_t; 2]) {
+    unsafe fn new(ray: &Ray) -> Self {
+        let reciprocal = Reciprocal::new(ray);
+        // SAFETY: the processor has NEON, as promised by the caller.
+        unsafe {
+            Self {
+                origin: ray.origin.to_array().map(|x| vdupq_n_f32(x)),
+                near_scale: reciprocal.near.map(|x| vdupq_n_f32(x)),
+                far_scale: reciprocal.far.map(|x| vdupq_n_f32(x)),
+                t_min: vdupq_n_f32(reciprocal.t_min),
+                entering: reciprocal.negative.map(usize::from),
+            }
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn test(&self, node: &Node, t_max: f32) -> (u32, [float32x4_t; 2]) {
         // SAFETY: the processor has NEON, as promised by the caller; sides are 0 or 1, and eight floats a side have two
         // halves.
         unsafe {
@@ -70,78 +84,19 @@ impl NeonSlabs {
                 (enter, vcleq_f32(enter, leave))
             };
             let ((enter0, met0), (enter1, met1)) = (half(0), half(1));
-            ([enter0, enter1], [met0, met1])
-        }
-    }
-}
-
-impl Slabs for NeonSlabs {
-    #[inline(always)]
-    unsafe fn new(ray: &Ray) -> Self {
-        let reciprocal = Reciprocal::new(ray);
-        // SAFETY: the processor has NEON, as promised by the caller.
-        unsafe {
-            Self {
-                origin: ray.origin.to_array().map(|x| vdupq_n_f32(x)),
-                near_scale: reciprocal.near.map(|x| vdupq_n_f32(x)),
-                far_scale: reciprocal.far.map(|x| vdupq_n_f32(x)),
-                t_min: vdupq_n_f32(reciprocal.t_min),
-                entering: reciprocal.negative.map(usize::from),
-            }
+            (bits([met0, met1]), [enter0, enter1])
         }
     }
 
     #[inline(always)]
-    unsafe fn nearest<I: Isa>(
-        &self,
-        _: &Tree,
-        node: &Node,
-        t_max: f32,
-        stack: &mut Stack,
-    ) -> Child {
-        // SAFETY: the processor has NEON and there is room, as promised by the caller; lanes are below 8, and entries above
-        // `base` are inserted here.
+    unsafe fn distances(near: [float32x4_t; 2]) -> [f32; WIDTH] {
+        let mut distances = [0.0; WIDTH];
+        // SAFETY: the array has eight floats.
         unsafe {
-            let (near, met) = self.test(node, t_max);
-            let mut mask = bits(met);
-            if mask == 0 {
-                return stack.pop(t_max);
-            }
-            if mask.is_power_of_two() {
-                return *node.children.get_unchecked(mask.trailing_zeros() as usize);
-            }
-            let mut distances = [0.0; WIDTH];
             vst1q_f32(distances.as_mut_ptr(), near[0]);
             vst1q_f32(distances.as_mut_ptr().add(LANES), near[1]);
-            let base = stack.waiting;
-            while mask != 0 {
-                let lane = mask.trailing_zeros() as usize;
-                mask &= mask - 1;
-                let (near, child) = (
-                    distances.get_unchecked(lane),
-                    node.children.get_unchecked(lane),
-                );
-                stack.insert(base, entry(*near, *child));
-            }
-            stack.pop_any()
         }
-    }
-
-    #[inline(always)]
-    unsafe fn any<I: Isa>(&self, _: &Tree, node: &Node, t_max: f32, stack: &mut Stack) -> Child {
-        // SAFETY: the processor has NEON and there is room, as promised by the caller; lanes are below 8, and the bottom is
-        // there.
-        unsafe {
-            let (_, met) = self.test(node, t_max);
-            let mut mask = bits(met);
-            // From the highest lane down, so that the lowest comes first.
-            while mask != 0 {
-                let lane = 31 - mask.leading_zeros();
-                mask ^= 1 << lane;
-                stack.push(entry(0.0, *node.children.get_unchecked(lane as usize)));
-            }
-            stack.pop_any()
-        }
+        distances
     }
 }
 

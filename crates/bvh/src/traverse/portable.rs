@@ -1,8 +1,6 @@
 //! Plain Rust, for any processor. The compiler vectorises what it can.
 
-use super::{
-    Edges, Found, Isa, Lanes, Query, Reciprocal, Scope, Slabs, Stack, entry, entry_points,
-};
+use super::{Edges, Found, Isa, Lanes, Query, Reciprocal, Scope, Slabs, entry_points};
 use crate::accel::Accel;
 use crate::filter::HitFilter;
 use crate::node::{Block, Child, LANES, Node, Tree, WIDTH};
@@ -36,10 +34,19 @@ pub(crate) struct PortableSlabs {
     reciprocal: Reciprocal,
 }
 
-impl PortableSlabs {
-    /// Which children are met, and where.
+impl Slabs for PortableSlabs {
+    type Near = [f32; WIDTH];
+
     #[inline(always)]
-    fn test(&self, node: &Node, t_max: f32) -> (u32, [f32; WIDTH]) {
+    unsafe fn new(ray: &Ray) -> Self {
+        Self {
+            origin: ray.origin.to_array(),
+            reciprocal: Reciprocal::new(ray),
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn test(&self, node: &Node, t_max: f32) -> (u32, [f32; WIDTH]) {
         let mut far = [t_max; WIDTH];
         let mut near = [self.reciprocal.t_min; WIDTH];
         for axis in 0..3 {
@@ -63,48 +70,10 @@ impl PortableSlabs {
         }
         (mask, near)
     }
-}
-
-impl Slabs for PortableSlabs {
-    #[inline(always)]
-    unsafe fn new(ray: &Ray) -> Self {
-        Self {
-            origin: ray.origin.to_array(),
-            reciprocal: Reciprocal::new(ray),
-        }
-    }
 
     #[inline(always)]
-    unsafe fn nearest<I: Isa>(
-        &self,
-        _: &Tree,
-        node: &Node,
-        t_max: f32,
-        stack: &mut Stack,
-    ) -> Child {
-        let (mut met, near) = self.test(node, t_max);
-        let base = stack.waiting;
-        while met != 0 {
-            let lane = met.trailing_zeros() as usize;
-            met &= met - 1;
-            // SAFETY: there is room, as promised by the caller; entries above `base` were inserted here.
-            unsafe { stack.insert(base, entry(near[lane], node.children[lane])) };
-        }
-        // SAFETY: the bottom is there.
-        unsafe { stack.pop(t_max) }
-    }
-
-    #[inline(always)]
-    unsafe fn any<I: Isa>(&self, _: &Tree, node: &Node, t_max: f32, stack: &mut Stack) -> Child {
-        let (met, _) = self.test(node, t_max);
-        for lane in (0..WIDTH).rev() {
-            if met >> lane & 1 == 1 {
-                // SAFETY: there is room, as promised by the caller.
-                unsafe { stack.push(entry(0.0, node.children[lane])) };
-            }
-        }
-        // SAFETY: the bottom is there.
-        unsafe { stack.pop_any() }
+    unsafe fn distances(near: [f32; WIDTH]) -> [f32; WIDTH] {
+        near
     }
 }
 
