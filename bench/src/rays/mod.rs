@@ -251,11 +251,12 @@ fn measure(
         holds: Some(bytes <= 70.0),
     });
     report.note(format!(
-        "{}: {triangles} triangles, cost {:.1}, depth {}, {:.2} triangles a block{}",
+        "{}: {triangles} triangles, {:.3} times as many in leaves, cost {:.1}, depth {}, {:.2} a block{}",
         soup.name,
+        stats.references as f64 / triangles,
         stats.cost,
         stats.depth,
-        stats.triangles as f64 / stats.blocks as f64,
+        stats.references as f64 / stats.blocks as f64,
         high_times.first().map_or_else(String::new, |t| format!(
             "; Embree's high quality takes {t:.2} CPU s to build"
         )),
