@@ -10,6 +10,8 @@ pub struct Setting {
     pub quick: bool,
     pub scenes: PathBuf,
     pub only: Vec<String>,
+    /// Where results are written.
+    pub out: PathBuf,
 }
 
 impl Setting {

@@ -3,6 +3,7 @@
 //! `cargo run --release -p bench -- SUITE [--quick] [--scenes DIR] [--out DIR]`; see `bench/README.md`.
 
 mod common;
+mod pictures;
 mod rays;
 
 use clap::{Parser, ValueEnum};
@@ -23,7 +24,7 @@ struct Arguments {
     /// Where results are written.
     #[arg(long, default_value = "target/bench")]
     out: PathBuf,
-    /// Only these scenes (names, comma-separated).
+    /// Only these scenes (names, comma-separated; the suite `pictures` takes files too).
     #[arg(long, value_delimiter = ',')]
     only: Vec<String>,
 }
@@ -32,6 +33,10 @@ struct Arguments {
 enum Suite {
     /// Rays per second, build time and memory against Embree.
     Rays,
+    /// Error of the path tracer over time.
+    Pictures,
+    /// Ways of choosing among many lights, at equal time.
+    ManyLights,
 }
 
 fn main() -> ExitCode {
@@ -43,9 +48,12 @@ fn main() -> ExitCode {
         quick: arguments.quick,
         scenes,
         only: arguments.only,
+        out: arguments.out.clone(),
     };
     let report = match arguments.suite {
         Suite::Rays => rays::run(&setting),
+        Suite::Pictures => pictures::run(&setting),
+        Suite::ManyLights => pictures::many_lights::run(&setting),
     };
     match report.write(&arguments.out) {
         Ok(()) => {

@@ -1,5 +1,6 @@
 //! Images and how they are sampled.
 
+use crate::prefetch;
 use glam::Vec4;
 use std::sync::LazyLock;
 
@@ -108,6 +109,23 @@ impl Texture {
                     }
                 };
                 self.filtered(texels, width, height, uv, decode)
+            }
+        }
+    }
+
+    /// Asks memory for the texels that [`Texture::sample`] will read at `uv`.
+    pub fn prefetch(&self, images: &[Image], uv: [f32; 2]) {
+        let Some(image) = images.get(self.image as usize) else {
+            return;
+        };
+        let (width, height) = (image.width as usize, image.height as usize);
+        let Sampler { wrap_u, wrap_v, .. } = self.sampler;
+        let (x, ..) = wrap_u.neighbours(wrap_u.fold(uv[0]), width);
+        let (above, below, _) = wrap_v.neighbours(wrap_v.fold(uv[1]), height);
+        for y in [above, below] {
+            match &image.texels {
+                Texels::Rgba8(texels) => prefetch(texels, y * width + x),
+                Texels::Rgba16(texels) => prefetch(texels, y * width + x),
             }
         }
     }

@@ -1,6 +1,7 @@
 //! Geometry as light sees it: exact rays against a posed scene, and the surfaces that they meet.
 
 mod alpha;
+mod prefetch;
 mod surface;
 mod tracer;
 mod triangle;

@@ -1,7 +1,7 @@
 //! Path tracing with next-event estimation.
 //!
 //! At every scattering event one light is sampled and one direction of the surface; what both could find is weighted by
-//! the power heuristic (Veach 1997, section 9.2). Paths end by Russian roulette on their throughput. Clear panes and
+//! the power heuristic (Veach 1997, section 9.2). Paths end by Russian roulette on the root of their throughput. Clear panes and
 //! cut-outs are passed without an event, so that light behind windows is found by light sampling too.
 //!
 //! The wrong tool where light comes only through small holes or by way of caustics: such paths are found by chance alone.
@@ -242,6 +242,7 @@ fn shade(world: &World, limits: PathLimits, first: bool, scratch: &mut Scratch) 
     } = scratch;
     let mut kept = 0;
     for k in 0..alive.len() {
+        world.geometry.prefetch(hits, k);
         let index = alive[k];
         let path = &mut paths[index as usize];
         let goes_on = match hits[k] {
@@ -357,6 +358,9 @@ fn shade_hit(
     }
 
     let is_pane = is_pane(surface.material());
+    if path.depth >= limits.max_depth && !is_pane && !first {
+        return false;
+    }
     let mut parameters = surface.bsdf_parameters(geometry);
     if limits.regularize && path.blurred && !is_pane {
         parameters.roughness = parameters.roughness.max(REGULARIZED_ROUGHNESS);
@@ -479,7 +483,11 @@ fn shade_hit(
     path.throughput *= sample.weight;
     path.squeezed *= sample.eta2;
     if !passed && path.depth >= ROULETTE_AFTER {
-        let survival = (path.throughput.max_element() * path.squeezed).min(1.0);
+        // The root keeps paths longer than the throughput itself would: dark pixels, in which relative error counts, get
+        // their light from long paths, and a survivor's weight grows less.
+        let survival = (path.throughput.max_element() * path.squeezed)
+            .min(1.0)
+            .sqrt();
         if roulette >= survival {
             return false;
         }
