@@ -40,7 +40,7 @@ fn measure(setting: &Setting, report: &mut Report, name: &str, scene: &Scene) {
     let (size, repetitions, limit, reference_samples) = if setting.quick {
         (128, 3, 0.25, 64)
     } else {
-        (256, 5, 2.0, 512)
+        (256, 5, 2.0, 128)
     };
     let pose = Pose::at(scene, 0.0);
     let geometry = match Geometry::new(scene, &pose, &BuildOptions::default()) {

@@ -189,7 +189,7 @@ fn measure(setting: &Setting, report: &mut Report, name: &str, path: &Path) -> R
     let (size, repetitions, samples, reference_samples) = if setting.quick {
         (128, 3, 8, 32)
     } else {
-        (512, 5, 16, 128)
+        (512, 5, 16, 64)
     };
     if !path.exists() {
         return Err(format!("{} is not there", path.display()));
