@@ -26,18 +26,19 @@ use occlude_visibility::{
 use rayon::prelude::*;
 use std::f32::consts::FRAC_1_PI;
 
-/// Light paths for every virtual light that is wanted.
+/// Light paths for every virtual light that is wanted, at least and at most.
 const PATHS_PER_LIGHT: usize = 4;
+const MOST_PATHS_PER_LIGHT: usize = 32;
 
 /// Eye samples by which candidates are judged, at most, and the rays that this may take.
 const MOST_PILOTS: usize = 256;
-const PILOT_RAYS: usize = 4 << 20;
+const PILOT_RAYS: usize = 2 << 20;
 
 /// Share of the choice that follows flux alone.
 const DEFENSIVE: f64 = 0.2;
 
 /// See [`default_clamp`], steradians.
-const MOST_SOLID_ANGLE: f32 = 0.5;
+const MOST_SOLID_ANGLE: f32 = 0.25;
 
 /// Tells the numbers of light paths from those of pixels.
 const STREAM: u64 = 0x6c69_6768_7470_6174;
@@ -68,6 +69,9 @@ pub(super) struct Made {
 }
 
 /// Makes the virtual lights of a job. `prepared` holds everything else.
+///
+/// A small trial with numbers of its own finds out how many light paths it takes until enough candidates matter to the
+/// picture: one in four in a room, one in fifty where the sun shines on a roof and the camera is below.
 pub(super) fn make(
     world: &World,
     view: &View,
@@ -75,25 +79,62 @@ pub(super) fn make(
     prepared: &Prepared,
 ) -> Made {
     let wanted = &prepared.settings;
-    let (candidates, mut rays) = candidates(world, settings, wanted);
+    let count = wanted.vpls as usize;
+    let trial = attempt(world, view, settings, prepared, count, 1);
+    let total: f64 = trial.brought.iter().sum();
+    let squares: f64 = trial.brought.iter().map(|b| b * b).sum();
+    let useful = if squares > 0.0 {
+        total * total / squares
+    } else {
+        0.0
+    };
+    let factor = 2.0 * count as f64 / useful.max(1.0);
+    let factor = (factor.ceil() as usize).clamp(PATHS_PER_LIGHT, MOST_PATHS_PER_LIGHT);
+    let made = attempt(world, view, settings, prepared, count * factor, 0);
+    let lights = choose(&made.candidates, &made.brought, wanted.vpls, settings.seed);
+    let clamp = bound(wanted, &lights.positions());
+    Made {
+        lights,
+        clamp,
+        rays: trial.rays + made.rays,
+    }
+}
+
+/// Candidates, and what each brings to the picture.
+struct Attempt {
+    candidates: Vec<Candidate>,
+    brought: Vec<f64>,
+    rays: u64,
+}
+
+fn attempt(
+    world: &World,
+    view: &View,
+    settings: &RenderSettings,
+    prepared: &Prepared,
+    paths: usize,
+    stream: u32,
+) -> Attempt {
+    let wanted = &prepared.settings;
+    let (candidates, mut rays) = candidates(world, settings, wanted, paths, stream);
     let (pilots, walked) = pilots(world, view, settings, prepared, candidates.len());
-    rays += walked;
-    let bound = |points: &[Vec3]| wanted.clamp.unwrap_or_else(|| default_clamp(points));
     let step = (candidates.len() / wanted.vpls.max(1) as usize).max(1);
     let some: Vec<Vec3> = candidates
         .iter()
         .step_by(step)
-        .map(|c| c.position)
+        .map(|candidate| candidate.position)
         .collect();
-    let (brought, asked) = judge(world, &candidates, &pilots, bound(&some));
-    rays += asked;
-    let lights = choose(&candidates, &brought, wanted.vpls, settings.seed);
-    let clamp = bound(&lights.positions());
-    Made {
-        lights,
-        clamp,
+    let (brought, asked) = judge(world, &candidates, &pilots, bound(wanted, &some));
+    rays += walked + asked;
+    Attempt {
+        candidates,
+        brought,
         rays,
     }
+}
+
+fn bound(wanted: &InstantRadiosity, points: &[Vec3]) -> f32 {
+    wanted.clamp.unwrap_or_else(|| default_clamp(points))
 }
 
 /// A bound on the geometry term without a scale of its own: with `r` the typical distance between neighbouring virtual
@@ -124,9 +165,10 @@ fn candidates(
     world: &World,
     settings: &RenderSettings,
     wanted: &InstantRadiosity,
+    paths: usize,
+    stream: u32,
 ) -> (Vec<Candidate>, u64) {
     let emission = Emission::new(world.lights, world.geometry.scene, world.geometry.pose);
-    let paths = wanted.vpls as usize * PATHS_PER_LIGHT;
     let parts: Vec<(Vec<Candidate>, u64)> = (0..paths)
         .into_par_iter()
         .fold_chunks(
@@ -136,7 +178,7 @@ fn candidates(
                 let sampler = Sampler::new(
                     settings.sampler,
                     settings.seed ^ STREAM,
-                    [u32::MAX; 2],
+                    [u32::MAX, u32::MAX - stream],
                     path as u32,
                 );
                 rays += walk(

@@ -263,3 +263,59 @@ fn instruction_sets_agree_to_the_bit() {
     }
     assert_eq!(best, radiance);
 }
+
+/// Prints the cost of shading: `cargo test --release -p occlude-render --lib cost_of_shading -- --ignored --nocapture`.
+#[test]
+#[ignore = "a measurement"]
+fn cost_of_shading() {
+    for (name, specular) in [("Lambert", 0.0), ("closed form", 1.0)] {
+        let parameters = BsdfParameters {
+            specular,
+            roughness: 0.6,
+            ..BsdfParameters::default()
+        };
+        let mut next = numbers(5);
+        let (list, _) = lights(Kind::Patch, 1024, &mut next);
+        let few = eyes(&parameters, &mut next);
+        let mut scene = eyes(&parameters, &mut next);
+        for i in 0..9216 {
+            scene.eyes.push(Eye {
+                sample: i as u32,
+                events_left: 9.0,
+                ..few.eyes[i % few.eyes.len()]
+            });
+            scene.ends.push(few.ends[i % few.ends.len()]);
+        }
+        let mut radiance = vec![Vec3::ZERO; scene.eyes.len()];
+        let mut asker = Asker {
+            lights: &list,
+            eyes: &scene.eyes,
+            ends: &scene.ends,
+            scatterers: &scene.scatterers,
+            clamp: 1.0,
+            panes: None,
+            radiance: &mut radiance,
+            clamped: 0.0,
+        };
+        let count = asker.eyes.len();
+        let answers = vec![[1.0; BLOCK]; count];
+        let (mut ask, mut take, mut asked) = (0.0, 0.0, 0u64);
+        for block in 0..64 {
+            let mut masks = vec![0; count];
+            let before = std::time::Instant::now();
+            asker.wanted(block, &mut masks);
+            ask += before.elapsed().as_secs_f64();
+            asked += masks.iter().map(|m| u64::from(m.count_ones())).sum::<u64>();
+            let before = std::time::Instant::now();
+            asker.take(block, &masks, &answers);
+            take += before.elapsed().as_secs_f64();
+        }
+        let each = 1e9 / (count as f64 * 1024.0);
+        println!(
+            "{name}: to ask {:.2} ns a light, to shade {:.2} ns a light ({:.0} % asked for)",
+            ask * each,
+            take * each,
+            asked as f64 / (count as f64 * 10.24)
+        );
+    }
+}
