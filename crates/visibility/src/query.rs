@@ -12,8 +12,8 @@ pub struct Endpoint {
     pub position: Vec3,
     /// Density of the sampling that put the point there, in samples per square unit (0: not known). At an eye end all eye
     /// samples of one pass count (`N_S P_e` in Popov 2013); at a light end it is the probability density of one sample
-    /// (`P_l`), the probability of having picked this light included. Infinite: no other question is like this one (it
-    /// ends in the pinhole of a camera), so that only a ray of its own answers it.
+    /// (`P_l`), the probability of having picked this light included. Infinite: no other question is like
+    /// this one, and only a ray of its own answers it.
     pub density: f32,
     /// Unit geometric normal, on the side that the connection leaves.
     pub normal: Vec3,

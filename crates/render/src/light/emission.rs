@@ -1,10 +1,11 @@
 //! Light as it leaves: rays from all lights, for paths that start there.
 //!
-//! A light is picked by its power, then a point on it and a direction (at infinity: a direction, then a point of the disk that
+//! A light is picked by its power (those infinitely far away together no more often than all others together, since nothing
+//! is known of how much of the sun comes in), then a point on it and a direction (at infinity: a direction, then a point of the disk that
 //! covers the scene from there; Pharr et al. 2016, section 16.1). [`Emission::density`] says with which density a ray that was found
 //! otherwise would have been sampled, so that both ways can be combined.
 //!
-//! Wrong tool where the lights that matter are a small part of all power: a candle in a cellar under a sun outside.
+//! Wrong tool where the lights that matter are a small part of all power: a candle in a house of floodlights.
 
 use super::distribution::Distribution;
 use super::select::fine_place;
@@ -92,8 +93,13 @@ impl Emission {
         let (centre, radius) = bounding_sphere(scene, pose);
         let sane = centre.is_finite() && radius > 0.0 && (radius * radius).is_finite();
         let mut powers = lights.powers(scene, pose);
+        let (near, far) = powers.split_at_mut(lights.first_direction());
         if !sane {
-            powers[lights.first_direction()..].fill(0.0);
+            far.fill(0.0);
+        }
+        let [near, shining] = [&*near, &*far].map(|part| part.iter().sum::<f32>());
+        if near > 0.0 && shining > near {
+            far.iter_mut().for_each(|power| *power *= near / shining);
         }
         Self {
             picks: Distribution::new(&powers),

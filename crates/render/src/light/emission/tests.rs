@@ -218,9 +218,9 @@ fn places_have_the_density_that_is_stated() {
     }
 }
 
-/// With all kinds together, lights are picked by their power, and each ray states the density of being found again.
+/// With all kinds together, lights are picked as stated, and each ray states the density of being found again.
 #[test]
-fn picks_follow_power() {
+fn picks_follow_the_stated_probabilities() {
     let mut pose = Pose::default();
     let mut scene = Scene::default();
     for (case, (_, part, posed, ..)) in cases().into_iter().enumerate() {
@@ -234,6 +234,8 @@ fn picks_follow_power() {
     let emission = Emission::new(&lights, &scene, &pose);
     let sum: f32 = (0..lights.len()).map(|light| emission.pmf(light)).sum();
     assert!((sum - 1.0).abs() < 1e-5);
+    let near: f32 = (0..lights.first_direction()).map(|l| emission.pmf(l)).sum();
+    assert!((near - 0.5).abs() < 1e-4, "{near}");
     let kinds = |origin: Origin| match origin {
         Origin::Point(light) | Origin::Direction(light) | Origin::Surface { light, .. } => light,
         Origin::Sky(_) => lights.first_sun(),
