@@ -230,6 +230,12 @@ fn picks_follow_the_stated_probabilities() {
             pose.lights.extend(posed.lights);
         }
     }
+    // A second sun, so strong that without a limit nothing else would be picked.
+    let kind = LightKind::Directional {
+        angular_diameter: 0.0,
+    };
+    pose.lights
+        .push(punctual(kind, Vec3::splat(300.0), Vec3::ONE, Vec3::NEG_Y));
     let lights = Lights::new(&scene, &pose, Some(sky()), LightSelection::Tree);
     let emission = Emission::new(&lights, &scene, &pose);
     let sum: f32 = (0..lights.len()).map(|light| emission.pmf(light)).sum();
