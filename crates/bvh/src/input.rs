@@ -46,9 +46,10 @@ pub struct BuildOptions {
     /// Keep finite triangles without an area, since a later [`refit`](crate::Accel::refit) may give them one.
     /// Default: off, they are dropped.
     pub keep_degenerate: bool,
-    /// Keep each triangle in one leaf. Builds in half to two thirds of the time, and is the better choice for a structure that is refitted,
-    /// since a [`refit`](crate::Accel::refit) enlarges the boxes of cut triangles to whole ones. Default: off, large
-    /// triangles are cut where that saves rays more than it costs, with at most a fifth more references.
+    /// Keep each triangle in one leaf. Builds in half to two thirds of the time, and is the better choice for a structure
+    /// that is refitted, since a [`refit`](crate::Accel::refit) enlarges the boxes of cut triangles to whole ones.
+    /// Default: off, large triangles are cut where that saves rays more than it costs, with at most a fifth more
+    /// references.
     pub whole_triangles: bool,
 }
 
