@@ -140,7 +140,12 @@ impl Bsdf {
             0.0
         };
         let (diffuse, multiple) = (self.diffuse * cosine, self.multiple * cosine);
-        let specular = f32::from(self.pick.specular > 0.0);
+        // Without the lobe any roughness will do that keeps the numbers finite.
+        let (specular, alpha, root_o) = if self.pick.specular > 0.0 {
+            (1.0, self.alpha, self.root_o)
+        } else {
+            (0.0, 1.0, 1.0)
+        };
         let [t0, ta, tb] = if self.lambert {
             [1.0, 0.0, 0.0]
         } else {
@@ -160,8 +165,8 @@ impl Bsdf {
             albedo: self.row.polynomials(),
             f0: self.f0 * specular,
             f90: self.f90 * specular,
-            alpha2: self.alpha * self.alpha,
-            root_o: self.root_o,
+            alpha2: alpha * alpha,
+            root_o,
         })
     }
 }

@@ -1,6 +1,7 @@
 //! Shading by blocks of 16 lights: what each light would bring to an eye sample, if nothing blocked it.
 //!
-//! Plain loops over arrays of 16 numbers, compiled several times with other instruction sets and chosen at run time. They use no fused
+//! Plain loops over arrays of 16 numbers, which compilers make vector code of, compiled once more for AVX2 and chosen at run time. (Small
+//! types for a register's numbers, each operation a loop of its own, came out three times slower.) They use no fused
 //! operations and add up in a fixed order, so that every machine computes the same bytes.
 //!
 //! An eye sample is either Lambert, or has the closed form of [`Broad`], or (layered materials) asks its [`Bsdf`] light by light.
@@ -204,71 +205,44 @@ pub(super) struct Asker<'a> {
     pub(super) clamped: f64,
 }
 
-/// Runs the same code compiled for the best instruction set that there is.
-macro_rules! dispatch {
-    ($generic:ident, $avx2:ident, $avx512:ident, ($($name:ident: $type:ty),*)) => {
-        #[cfg(target_arch = "x86_64")]
-        #[target_feature(enable = "avx2")]
-        fn $avx2<const KIND: u8>($($name: $type),*) {
-            $generic::<KIND>($($name),*);
-        }
-
-        #[cfg(target_arch = "x86_64")]
-        #[target_feature(enable = "avx512f,avx512dq,avx512bw,avx512vl")]
-        fn $avx512<const KIND: u8>($($name: $type),*) {
-            $generic::<KIND>($($name),*);
-        }
-    };
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn wanted_avx2<const KIND: u8>(asker: &Asker, block: &LightBlock, masks: &mut [u16]) {
+    wanted::<KIND>(asker, block, masks);
 }
 
-dispatch!(wanted, wanted_avx2, wanted_avx512, (asker: &Asker, block: &LightBlock, masks: &mut [u16]));
-dispatch!(take, take_avx2, take_avx512, (asker: &mut Asker, block: usize, wanted: &[u16], answers: &[BlockAnswers]));
-
-/// Instruction sets that this machine has: 2 AVX-512, 1 AVX2, 0 whatever the compiler takes for granted.
-fn level() -> u8 {
-    #[cfg(target_arch = "x86_64")]
-    {
-        let avx512 = std::arch::is_x86_feature_detected!("avx512f")
-            && std::arch::is_x86_feature_detected!("avx512dq")
-            && std::arch::is_x86_feature_detected!("avx512bw")
-            && std::arch::is_x86_feature_detected!("avx512vl");
-        if avx512 {
-            return 2;
-        }
-        if std::arch::is_x86_feature_detected!("avx2") {
-            return 1;
-        }
-    }
-    0
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn take_avx2<const KIND: u8>(
+    asker: &mut Asker,
+    block: usize,
+    wanted: &[u16],
+    answers: &[BlockAnswers],
+) {
+    take::<KIND>(asker, block, wanted, answers);
 }
 
-fn wanted_by_kind<const KIND: u8>(asker: &Asker, block: &LightBlock, mask: &mut [u16]) {
+fn wanted_by_kind<const KIND: u8>(asker: &Asker, block: &LightBlock, masks: &mut [u16]) {
     #[cfg(target_arch = "x86_64")]
-    match level() {
+    if std::arch::is_x86_feature_detected!("avx2") {
         // SAFETY: the machine has the instructions.
-        2 => return unsafe { wanted_avx512::<KIND>(asker, block, mask) },
-        // SAFETY: the machine has the instructions.
-        1 => return unsafe { wanted_avx2::<KIND>(asker, block, mask) },
-        _ => {}
+        return unsafe { wanted_avx2::<KIND>(asker, block, masks) };
     }
-    wanted::<KIND>(asker, block, mask);
+    wanted::<KIND>(asker, block, masks);
 }
 
 fn take_by_kind<const KIND: u8>(
     asker: &mut Asker,
     block: usize,
-    mask: &[u16],
+    wanted: &[u16],
     answers: &[BlockAnswers],
 ) {
     #[cfg(target_arch = "x86_64")]
-    match level() {
+    if std::arch::is_x86_feature_detected!("avx2") {
         // SAFETY: the machine has the instructions.
-        2 => return unsafe { take_avx512::<KIND>(asker, block, mask, answers) },
-        // SAFETY: the machine has the instructions.
-        1 => return unsafe { take_avx2::<KIND>(asker, block, mask, answers) },
-        _ => {}
+        return unsafe { take_avx2::<KIND>(asker, block, wanted, answers) };
     }
-    take::<KIND>(asker, block, mask, answers);
+    take::<KIND>(asker, block, wanted, answers);
 }
 
 impl ManyLights for Asker<'_> {
@@ -480,12 +454,18 @@ fn gather<const KIND: u8>(
     block: &LightBlock,
     clamp: f32,
     wanted: u16,
+    plain: &Lanes,
     visible: [&Lanes; 3],
 ) -> Vec3 {
     let mut total = [0.0; 3];
     match eye.scatter {
         Scatter::Lambert => {
-            let terms = lambert::<KIND>(eye, block, clamp);
+            let mut terms = *plain;
+            if KIND == PATCH {
+                for term in &mut terms {
+                    *term = if *term < clamp { *term } else { clamp };
+                }
+            }
             for c in 0..3 {
                 let mut lanes = [0.0; BLOCK];
                 for i in 0..BLOCK {
@@ -523,19 +503,20 @@ fn gather<const KIND: u8>(
     eye.weight * Vec3::from_array(total)
 }
 
-/// Whether the clamp bites any light that is seen.
-#[inline(always)]
-fn is_clamped(eye: &Eye, block: &LightBlock, clamp: f32, visible: &Lanes) -> bool {
-    let terms = lambert::<PATCH>(eye, block, f32::INFINITY);
-    let mut excess = [0.0; BLOCK];
-    for i in 0..BLOCK {
-        excess[i] = if terms[i] > clamp {
-            visible[i].abs()
-        } else {
-            0.0
-        };
-    }
-    sum(excess) > 0.0
+/// What the bound takes away, all channels.
+#[cold]
+fn loss(
+    asker: &Asker,
+    eye: &Eye,
+    block: &LightBlock,
+    wanted: u16,
+    plain: &Lanes,
+    visible: [&Lanes; 3],
+    bounded: Vec3,
+) -> f32 {
+    let unbounded = f32::INFINITY;
+    let whole = gather::<PATCH>(asker, eye, block, unbounded, wanted, plain, visible);
+    (whole - bounded).element_sum()
 }
 
 #[inline(always)]
@@ -555,11 +536,19 @@ fn take<const KIND: u8>(asker: &mut Asker, index: usize, wanted: &[u16], answers
             Some([r, g, b]) => [r, g, b],
             None => [answers; 3],
         };
-        let brought = gather::<KIND>(asker, eye, block, asker.clamp, mask, visible);
+        let plain = lambert::<KIND>(eye, block, f32::INFINITY);
+        let brought = gather::<KIND>(asker, eye, block, asker.clamp, mask, &plain, visible);
         let sample = eye.sample as usize;
-        if KIND == PATCH && is_clamped(eye, block, asker.clamp, answers) {
-            let whole = gather::<KIND>(asker, eye, block, f32::INFINITY, mask, visible);
-            asker.clamped += f64::from((whole - brought).element_sum());
+        if KIND == PATCH {
+            let mut excess = [0.0; BLOCK];
+            for i in 0..BLOCK {
+                let seen = answers[i].abs();
+                excess[i] = if plain[i] > asker.clamp { seen } else { 0.0 };
+            }
+            if sum(excess) > 0.0 {
+                let lost = loss(asker, eye, block, mask, &plain, visible, brought);
+                asker.clamped += f64::from(lost);
+            }
         }
         asker.radiance[sample] += brought;
     }
