@@ -6,6 +6,9 @@
 //!
 //! An eye sample is either Lambert, or has the closed form of [`Broad`], or (layered materials) asks its [`Bsdf`] light by light.
 
+// Loops that index several arrays alike are what becomes vector code.
+#![allow(clippy::needless_range_loop)]
+
 use crate::bsdf::{Broad, Bsdf};
 use crate::geometry::Geometry;
 use glam::{Mat3, Vec3};

@@ -325,7 +325,7 @@ fn pilots(
     harvest.walks.extend((0..count).map(|i| {
         // The R2 sequence (Roberts 2018).
         let at = Vec2::new(
-            (0.5 + 0.754_877_67 * i as f32).fract() * view.width() as f32,
+            (0.5 + 0.754_877_7 * i as f32).fract() * view.width() as f32,
             (0.5 + 0.569_840_3 * i as f32).fract() * view.height() as f32,
         );
         let sampler = Sampler::new(
