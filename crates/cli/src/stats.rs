@@ -128,6 +128,8 @@ pub struct Visibility {
     pub traced: u64,
     /// Questions refined, by level.
     pub refined: Vec<u64>,
+    /// Answers that gave way to others in a lossy table.
+    pub overwritten: u64,
     /// Memory that the strategy holds.
     pub bytes: u64,
 }

@@ -11,6 +11,7 @@
 //! |---|---|---|
 //! | [`Exact`] | exact | trace every question |
 //! | [`Occluder`] | exact | test the last blocker first |
+//! | [`Quantized`](quantized::Quantized) | bounded, unbiased or consistent | one ray for each pair of patches |
 //!
 //! Answers are `f32` estimates, not booleans: weighted averages lie in `[0, 1]`, unbiased estimators may leave it.
 //!
@@ -46,6 +47,7 @@ mod exact;
 mod many;
 mod occluder;
 pub mod order;
+pub mod quantized;
 mod query;
 mod session;
 mod stats;

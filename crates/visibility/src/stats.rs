@@ -16,6 +16,8 @@ pub struct VisibilityStats {
     pub refined: Vec<u64>,
     /// Rays that filled records.
     pub fill: u64,
+    /// Answers that gave way to others in a lossy table.
+    pub overwritten: u64,
 }
 
 impl VisibilityStats {
@@ -25,6 +27,7 @@ impl VisibilityStats {
         self.answered += other.answered;
         self.traced += other.traced;
         self.fill += other.fill;
+        self.overwritten += other.overwritten;
         if self.refined.len() < other.refined.len() {
             self.refined.resize(other.refined.len(), 0);
         }

@@ -1,5 +1,6 @@
 //! Options of `occlude render`, and what must hold before any work.
 
+use super::strategy::{self, GuaranteeName, Strategy};
 use crate::error::CliError;
 use crate::output;
 use crate::picture::{Aov, aovs};
@@ -126,9 +127,17 @@ pub struct RenderArgs {
     #[arg(long, value_enum, default_value_t = Integrator::Path, help_heading = "Work")]
     pub integrator: Integrator,
 
-    /// exact: trace every shadow ray; occluder: try the last blocker first (the picture is the same)
-    #[arg(long, value_enum, default_value_t = Strategy::Exact, help_heading = "Work")]
+    /// exact: trace every shadow ray; occluder: try the last blocker first (the picture is the same);
+    /// quantized[:NAME=VALUE,...]: one ray for each pair of patches. Its options: error (reach of errors in samples across;
+    /// error-point, error-direction, error-area, error-sky by kind of light), refine=auto|off|LEVELS, share=tile|thread|all
+    /// (tile: the same bytes at any number of threads), table=SIZE, normals, slab, resolution-step,
+    /// digest=separable|lcg|lcg-xorshift
+    #[arg(long, value_name = "STRATEGY", value_parser = strategy::strategy, default_value = "exact", help_heading = "Work")]
     pub visibility: Strategy,
+
+    /// What quantized visibility promises
+    #[arg(long, value_enum, help_heading = "Work")]
+    pub guarantee: Option<GuaranteeName>,
 
     /// Samples a pixel [default: 64, or unlimited with --time-limit or --noise]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_SAMPLES)), allow_negative_numbers = true, help_heading = "Work")]
@@ -234,6 +243,13 @@ impl RenderArgs {
                 "layers need one: add -o FILE.exr",
             ));
         }
+        if self.guarantee.is_some() && !matches!(self.visibility, Strategy::Quantized(_)) {
+            return Err(CliError::input(
+                "nothing to guarantee",
+                "--guarantee",
+                "it belongs to --visibility quantized",
+            ));
+        }
         if self.shard.is_some() {
             if self.time_limit.is_some() || self.noise.is_some() {
                 return Err(CliError::input(
@@ -279,6 +295,12 @@ impl RenderArgs {
         aovs(&self.aov).needs_features()
     }
 
+    /// Samples a pixel of the whole work, if the user has said how many, or time and noise do not decide.
+    pub fn known_samples(&self) -> Option<u32> {
+        let total = self.total_samples();
+        (total < MAX_SAMPLES).then_some(total)
+    }
+
     /// Samples a pixel of the whole work, shards together.
     pub fn total_samples(&self) -> u32 {
         let open_ended = self.time_limit.is_some() || self.noise.is_some();
@@ -310,15 +332,6 @@ pub enum Integrator {
     /// Many virtual lights
     #[value(name = "instant-radiosity")]
     InstantRadiosity,
-}
-
-/// How visibility questions are answered.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Strategy {
-    /// A ray for every question
-    Exact,
-    /// The last blocker first, then a ray: same answers
-    Occluder,
 }
 
 /// Reconstruction filters.

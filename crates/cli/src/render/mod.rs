@@ -2,16 +2,17 @@
 
 mod args;
 mod setup;
+mod strategy;
 
 pub use args::RenderArgs;
 
 use crate::context::Context;
 use crate::error::CliError;
-use crate::inspect::counts;
+use crate::inspect::{bounds, counts};
 use crate::picture::Finish;
 use crate::values::Size;
 use crate::{VERSION, merge, output, signals, stats};
-use args::{Filter, Integrator, Sampler, Strategy};
+use args::{Filter, Integrator, Sampler};
 use occlude_image::{Depth, Look, Picture};
 use occlude_render::camera::{PixelFilter, View};
 use occlude_render::film::Film;
@@ -23,10 +24,12 @@ use occlude_render::integrator::{
 use occlude_render::sampling::SamplerKind;
 use occlude_render::work::{Work, shard_samples};
 use occlude_scene::{Pose, Scene};
+use occlude_visibility::quantized::{BoundingSphere, Quantized};
 use occlude_visibility::{Exact, Occluder, Visibility};
 use setup::{build, load, view};
 use std::path::Path;
 use std::time::{Duration, Instant};
+use strategy::{Asks, GuaranteeName, QuantizedOptions, Strategy};
 
 /// How often unfinished work is saved.
 const CHECKPOINT_PERIOD: Duration = Duration::from_secs(60);
@@ -72,7 +75,11 @@ pub fn run(mut args: RenderArgs, context: &mut Context) -> Result<(), CliError> 
         geometry: &geometry,
         lights: &lights,
     };
-    match args.visibility {
+    match &args.visibility {
+        Strategy::Quantized(options) => {
+            let quantized = quantized(&args, options, context, &scene, &pose)?;
+            work(&args, context, &world, &view, sky.as_ref(), &quantized)
+        }
         Strategy::Exact => work(&args, context, &world, &view, sky.as_ref(), &Exact),
         Strategy::Occluder => work(
             &args,
@@ -83,6 +90,33 @@ pub fn run(mut args: RenderArgs, context: &mut Context) -> Result<(), CliError> 
             &Occluder::default(),
         ),
     }
+}
+
+/// The cache that `--visibility quantized` asks for.
+fn quantized(
+    args: &RenderArgs,
+    options: &QuantizedOptions,
+    context: &Context,
+    scene: &Scene,
+    pose: &Pose,
+) -> Result<Quantized, CliError> {
+    let asks = match args.integrator {
+        Integrator::Path | Integrator::Direct | Integrator::Ao => Asks::Single,
+    };
+    let guarantee = args.guarantee.unwrap_or(GuaranteeName::Bounded);
+    let settings = options.settings(asks, guarantee, args.known_samples(), context.common.seed);
+    if let Some(limit) = context.common.memory
+        && settings.table_bytes as u64 > limit
+    {
+        return Err(CliError::input(
+            format_args!("the table alone takes {} bytes", settings.table_bytes),
+            "--visibility",
+            "raise --memory or add :table=SIZE",
+        ));
+    }
+    let (min, max) = bounds(scene, pose).unwrap_or_default();
+    Quantized::new(settings, BoundingSphere::around(min, max))
+        .map_err(|error| CliError::input(error, "--visibility", "see occlude render --help"))
 }
 
 /// Renders, and writes what became of it.
@@ -154,6 +188,7 @@ fn work<'a, V: Visibility<Geometry<'a>>>(
             answered: report.visibility.answered,
             traced: report.visibility.traced,
             refined: report.visibility.refined,
+            overwritten: report.visibility.overwritten,
             bytes: visibility.bytes(),
         },
         vpls: report.instant_radiosity.map(|ir| ir.vpls),
@@ -282,6 +317,8 @@ fn fingerprint(
             settings.seed,
             args.lights,
             args.records_features(),
+            &args.visibility,
+            args.guarantee,
             args.environment_rotation,
             args.environment_scale
         )

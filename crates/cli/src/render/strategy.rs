@@ -1,0 +1,249 @@
+//! `--visibility` and `--guarantee`: how visibility questions are answered.
+
+use crate::values;
+use clap::ValueEnum;
+use occlude_visibility::quantized::{
+    Digest, ErrorReach, Guarantee, Pairing, QuantizedSettings, Refine, Share,
+};
+
+/// What `--visibility` names, with the options that follow it.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Strategy {
+    /// A ray for every question.
+    Exact,
+    /// The last blocker first, then a ray: same answers.
+    Occluder,
+    /// One ray for each pair of patches.
+    Quantized(QuantizedOptions),
+}
+
+/// What a user has said about quantized visibility; the rest depends on the integrator.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct QuantizedOptions {
+    error: Option<f32>,
+    point: Option<f32>,
+    direction: Option<f32>,
+    area: Option<f32>,
+    sky: Option<f32>,
+    normals: Option<u32>,
+    slab: Option<f32>,
+    resolution_step: Option<f32>,
+    table: Option<u64>,
+    refine: Option<Refine>,
+    share: Option<Share>,
+    digest: Option<Digest>,
+}
+
+/// `--guarantee`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum GuaranteeName {
+    /// Errors reach no farther than `error` samples
+    Bounded,
+    /// Right on average
+    Unbiased,
+    /// Converges to the exact picture as samples are added
+    Consistent,
+}
+
+/// How many questions one light end is asked: what the defaults depend on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Asks {
+    /// One light a vertex, picked at random.
+    Single,
+    /// Pairs of path vertices.
+    Pairs,
+    /// The same lights by every eye.
+    Many,
+}
+
+/// Reads the value of `--visibility`.
+pub fn strategy(text: &str) -> Result<Strategy, String> {
+    let (name, options) = text.split_once(':').unwrap_or((text, ""));
+    match (name, options) {
+        ("exact", "") => Ok(Strategy::Exact),
+        ("occluder", "") => Ok(Strategy::Occluder),
+        ("quantized", options) => QuantizedOptions::parse(options).map(Strategy::Quantized),
+        ("exact" | "occluder", _) => Err(format!("{name} takes no options")),
+        _ => Err(format!(
+            "no strategy {name:?}: there are exact, occluder and quantized"
+        )),
+    }
+}
+
+impl QuantizedOptions {
+    fn parse(text: &str) -> Result<Self, String> {
+        let mut options = Self::default();
+        for option in text.split(',').filter(|option| !option.is_empty()) {
+            let (name, value) = option
+                .split_once('=')
+                .ok_or_else(|| format!("{option:?}: write NAME=VALUE"))?;
+            options
+                .set(name, value)
+                .map_err(|error| format!("{name}: {error}"))?;
+        }
+        Ok(options)
+    }
+
+    fn set(&mut self, name: &str, value: &str) -> Result<(), String> {
+        let count = || {
+            value
+                .parse::<u32>()
+                .map_err(|_| format!("{value:?} is no whole number"))
+        };
+        match name {
+            "error" => self.error = Some(values::not_negative(value)?),
+            "error-point" => self.point = Some(values::not_negative(value)?),
+            "error-direction" => self.direction = Some(values::not_negative(value)?),
+            "error-area" => self.area = Some(values::not_negative(value)?),
+            "error-sky" => self.sky = Some(values::not_negative(value)?),
+            "normals" => self.normals = Some(count()?),
+            "slab" => self.slab = Some(values::positive(value)?),
+            "resolution-step" => self.resolution_step = Some(values::positive(value)?),
+            "table" => self.table = Some(values::bytes(value)?),
+            "refine" => {
+                self.refine = Some(match value {
+                    "auto" => Refine::Auto,
+                    "off" => Refine::Levels(1),
+                    _ => Refine::Levels(count()?),
+                });
+            }
+            "share" => {
+                self.share = Some(match value {
+                    "tile" => Share::Tile,
+                    "thread" => Share::Thread,
+                    "all" => Share::All,
+                    _ => return Err(format!("{value:?}: there are tile, thread and all")),
+                });
+            }
+            "digest" => {
+                self.digest = Some(match value {
+                    "separable" => Digest::Separable,
+                    "lcg" => Digest::Lcg,
+                    "lcg-xorshift" => Digest::LcgXorshift,
+                    _ => {
+                        return Err(format!(
+                            "{value:?}: there are separable, lcg and lcg-xorshift"
+                        ));
+                    }
+                });
+            }
+            _ => {
+                return Err(
+                    "no such option: there are error, error-point, error-direction, error-area, error-sky, normals, \
+                     slab, resolution-step, table, refine, share and digest"
+                        .to_owned(),
+                );
+            }
+        }
+        Ok(())
+    }
+
+    /// Settings for an integrator that asks in this way; `samples_per_pixel` of the whole work, if it is known.
+    pub fn settings(
+        &self,
+        asks: Asks,
+        guarantee: GuaranteeName,
+        samples_per_pixel: Option<u32>,
+        seed: u64,
+    ) -> QuantizedSettings {
+        let usual = QuantizedSettings::default();
+        let reach = |kind: Option<f32>, usual: f32| kind.or(self.error).unwrap_or(usual);
+        let guarantee = match guarantee {
+            GuaranteeName::Bounded => Guarantee::Bounded,
+            GuaranteeName::Unbiased => Guarantee::Unbiased,
+            GuaranteeName::Consistent => Guarantee::Consistent,
+        };
+        // Tiles remember enough for themselves where they ask about the same lights in every pixel.
+        let (share, table) = match (asks, guarantee) {
+            (Asks::Many, Guarantee::Bounded | Guarantee::Unbiased) => (Share::Tile, 4 << 20),
+            _ => (Share::All, 256 << 20),
+        };
+        let share = self.share.unwrap_or(share);
+        let table = match share {
+            Share::All => 256 << 20,
+            Share::Tile | Share::Thread => table.min(4 << 20),
+        };
+        QuantizedSettings {
+            error: ErrorReach {
+                point: reach(self.point, usual.error.point),
+                direction: reach(self.direction, usual.error.direction),
+                area: reach(self.area, usual.error.area),
+                sky: reach(self.sky, usual.error.sky),
+            },
+            normals: self.normals.unwrap_or(usual.normals),
+            slab: self.slab.unwrap_or(usual.slab),
+            resolution_step: self.resolution_step.unwrap_or(usual.resolution_step),
+            table_bytes: self
+                .table
+                .map_or(table, |bytes| usize::try_from(bytes).unwrap_or(usize::MAX)),
+            refine: self.refine.unwrap_or_default(),
+            share,
+            digest: self.digest.unwrap_or_default(),
+            guarantee,
+            pairing: if asks == Asks::Pairs {
+                Pairing::Both
+            } else {
+                Pairing::Eye
+            },
+            samples_per_pixel: samples_per_pixel.unwrap_or(1),
+            seed,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_and_options() {
+        assert_eq!(strategy("exact"), Ok(Strategy::Exact));
+        assert_eq!(strategy("occluder"), Ok(Strategy::Occluder));
+        let Ok(Strategy::Quantized(options)) = strategy(
+            "quantized:error=12,error-point=3,table=64MiB,share=thread,refine=off,digest=lcg,normals=6,slab=4,resolution-step=1.5",
+        ) else {
+            panic!("a legal value is refused");
+        };
+        let settings = options.settings(Asks::Pairs, GuaranteeName::Unbiased, Some(9), 7);
+        assert_eq!(
+            settings,
+            QuantizedSettings {
+                error: ErrorReach {
+                    point: 3.0,
+                    ..ErrorReach::all(12.0)
+                },
+                normals: 6,
+                slab: 4.0,
+                resolution_step: 1.5,
+                table_bytes: 64 << 20,
+                refine: Refine::Levels(1),
+                share: Share::Thread,
+                digest: Digest::Lcg,
+                guarantee: Guarantee::Unbiased,
+                pairing: Pairing::Both,
+                samples_per_pixel: 9,
+                seed: 7,
+            }
+        );
+    }
+
+    #[test]
+    fn wrong_values_are_named() {
+        for (text, wanted) in [
+            ("", "no strategy"),
+            ("quantised", "no strategy"),
+            ("exact:error=3", "takes no options"),
+            ("quantized:error", "NAME=VALUE"),
+            ("quantized:error=-1", "error:"),
+            ("quantized:error=nan", "error:"),
+            ("quantized:normals=2.5", "normals:"),
+            ("quantized:table=lots", "table:"),
+            ("quantized:share=none", "share:"),
+            ("quantized:digest=md5", "digest:"),
+            ("quantized:colour=red", "colour: no such option"),
+        ] {
+            let error = strategy(text).expect_err(text);
+            assert!(error.contains(wanted), "{text}: {error}");
+        }
+    }
+}

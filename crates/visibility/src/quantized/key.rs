@@ -1,0 +1,257 @@
+//! Cluster keys: which cell of which virtual grid an end lies in.
+//!
+//! Popov 2013, sections 3.3 to 3.5, with these corrections:
+//!
+//! * Eq. 4 rounds down and gives a `d_z` that is no unit vector. Here a normal's component is rounded to the nearest of
+//!   `C_N + 1` values with `C_N` even, and `d_z` is normalised: a wall along an axis keeps that axis exactly, and noise of
+//!   1e-6 in its normal does not split it into four orientations.
+//! * Every grid is shifted by a hash of its orientation and resolution, so that planes at round coordinates do not lie on
+//!   the faces of voxels.
+//! * Eq. 9: the printed resolution is too small by 4 pi, see [`sky_resolution`].
+
+use super::digest::{fold, mix};
+use glam::{Vec2, Vec3};
+use std::f32::consts::{FRAC_2_PI, PI};
+
+/// A ball around everything: the unit of resolution. Keep it the same over an animation.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BoundingSphere {
+    /// Centre, world space.
+    pub centre: Vec3,
+    /// Radius, metres.
+    pub radius: f32,
+}
+
+impl BoundingSphere {
+    /// The ball around a box.
+    pub fn around(min: Vec3, max: Vec3) -> Self {
+        Self {
+            centre: 0.5 * min + 0.5 * max,
+            radius: (0.5 * max - 0.5 * min).length(),
+        }
+    }
+}
+
+/// The cell of a surface point: seven integers, fixed by position, normal and resolution.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Cell {
+    /// Number of the grid's orientation.
+    pub orientation: u32,
+    /// Voxels along the diameter of the bounding sphere.
+    pub resolution: u32,
+    /// Voxel coordinates; `z` counts along the normal.
+    pub voxel: [i64; 3],
+}
+
+impl Cell {
+    /// The four voxels beside this one along the surface.
+    pub fn neighbours(self) -> [Self; 4] {
+        [(1, 0), (0, 1), (-1, 0), (0, -1)].map(|(x, y)| {
+            let [a, b, c] = self.voxel;
+            Self {
+                voxel: [a.wrapping_add(x), b.wrapping_add(y), c],
+                ..self
+            }
+        })
+    }
+
+    /// The hash of all seven integers: one half of a separable key. All bits depend on all integers.
+    pub fn half(self) -> u64 {
+        let grid = u64::from(self.orientation) << 32 | u64::from(self.resolution);
+        let [x, y, z] = self.voxel.map(|v| v as u64);
+        mix(fold(fold(grid, z), x), y)
+    }
+
+    /// The integers one by one, as the paper's digests take them.
+    pub fn words(self) -> [u32; 7] {
+        let [x, y, z] = self.voxel.map(|v| v as u32);
+        let o = self.orientation;
+        [o & 0xff, o >> 8 & 0xff, o >> 16, x, y, z, self.resolution]
+    }
+}
+
+/// The light half of a key: one of the four kinds of light end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum LightKey {
+    Point([u32; 3]),
+    Direction([u32; 3]),
+    Surface(Cell),
+    SolidAngle { cell: [u32; 2], resolution: u32 },
+}
+
+impl LightKey {
+    /// The hash of the light half.
+    pub fn half(self) -> u64 {
+        let three = |kind: u64, [x, y, z]: [u32; 3]| {
+            mix(fold(kind, u64::from(z)), u64::from(x) << 32 | u64::from(y))
+        };
+        match self {
+            Self::Point(bits) => three(0, bits),
+            Self::Direction(bits) => three(1, bits),
+            Self::Surface(cell) => mix(2, cell.half()),
+            Self::SolidAngle {
+                cell: [x, y],
+                resolution,
+            } => three(3, [x, y, resolution]),
+        }
+    }
+
+    /// The kind and the integers, as the paper's digests take them; how many depends on the kind.
+    pub fn words(self) -> ([u32; 8], usize) {
+        let mut words = [0; 8];
+        let count = match self {
+            Self::Point(bits) | Self::Direction(bits) => {
+                words[0] = u32::from(matches!(self, Self::Direction(_)));
+                words[1..4].copy_from_slice(&bits);
+                4
+            }
+            Self::Surface(cell) => {
+                words[0] = 2;
+                words[1..8].copy_from_slice(&cell.words());
+                8
+            }
+            Self::SolidAngle { cell, resolution } => {
+                words[..4].copy_from_slice(&[3, cell[0], cell[1], resolution]);
+                4
+            }
+        };
+        (words, count)
+    }
+}
+
+/// The virtual grids of one scene.
+#[derive(Clone, Debug)]
+pub(super) struct Grids {
+    centre: Vec3,
+    diameter: f32,
+    /// Finer voxels than this would be noise of floating point.
+    finest: f32,
+    normals: u32,
+    slab: f32,
+    step: f32,
+    /// Axes of each orientation: X, Y and `d_z`.
+    frames: Vec<[Vec3; 3]>,
+}
+
+impl Grids {
+    /// Grids with `normals` (`C_N`, even) orientations along each axis and voxels `slab` (`C_Z`) times finer along the
+    /// normal, of resolutions that are powers of `step` (`C_R`).
+    pub fn new(bounds: BoundingSphere, normals: u32, slab: f32, step: f32) -> Self {
+        let diameter = (2.0 * bounds.radius).max(f32::MIN_POSITIVE);
+        let farthest = bounds.centre.abs().max_element() + bounds.radius;
+        // A voxel's height, diameter / (slab * R), spans at least 8 roundings of a coordinate.
+        let finest = (diameter / (slab * farthest * 8.0 * f32::EPSILON)).clamp(1.0, 1e7);
+        let side = normals + 1;
+        let frames = (0..side * side * side)
+            .map(|code| {
+                let q = Vec3::new(
+                    (code % side) as f32,
+                    (code / side % side) as f32,
+                    (code / side / side) as f32,
+                );
+                let z = (2.0 / normals as f32 * q - 1.0).normalize_or(Vec3::Z);
+                let (x, y) = z.any_orthonormal_pair();
+                [x, y, z]
+            })
+            .collect();
+        Self {
+            centre: bounds.centre,
+            diameter,
+            finest,
+            normals,
+            slab,
+            step: step.ln(),
+            frames,
+        }
+    }
+
+    /// Number of the orientation nearest to a unit normal (Eq. 4, corrected), `None` if the normal is none.
+    pub fn orientation(&self, normal: Vec3) -> Option<u32> {
+        let length = normal.length_squared();
+        if !(0.5..2.0).contains(&length) {
+            return None;
+        }
+        let q = ((normal + 1.0) * (0.5 * self.normals as f32) + 0.5)
+            .clamp(Vec3::ZERO, Vec3::splat(self.normals as f32))
+            .as_uvec3();
+        let side = self.normals + 1;
+        Some(q.x + side * (q.y + side * q.z))
+    }
+
+    /// Resolution of patches that hold `1 / density` square metres (Eqs. 5 and 7): the patch is one voxel wide.
+    pub fn resolution(&self, density: f32) -> f32 {
+        self.diameter * density.sqrt()
+    }
+
+    /// Resolution of both patches of a pair (Eq. 6, with the fourth root that the exponent means): `|A|^2` is
+    /// `1 / density`, with `density` the product of both ends' densities, connections counted.
+    pub fn pair_resolution(&self, density: f32) -> f32 {
+        self.diameter * density.sqrt().sqrt()
+    }
+
+    /// Eq. 8: the nearest whole power of `C_R`, rounded down to whole voxels; at least 1 and no finer than floats are.
+    pub fn quantize(&self, resolution: f32) -> u32 {
+        let power = (resolution.clamp(1.0, self.finest).ln() / self.step).round();
+        (power * self.step).exp().clamp(1.0, self.finest) as u32
+    }
+
+    /// The cell of a surface point in the grid of an orientation and a quantized resolution.
+    pub fn cell(&self, position: Vec3, orientation: u32, resolution: u32) -> Cell {
+        let [x, y, z] = self.frames[orientation as usize];
+        let shift = mix(
+            u64::from(orientation) << 32 | u64::from(resolution),
+            0x243f_6a88_85a3_08d3,
+        );
+        let shift = |bits: u32| (shift >> bits & 0xffff) as f32 * (1.0 / 65536.0);
+        let from_centre = position - self.centre;
+        let scale = resolution as f32 / self.diameter;
+        let voxel = [
+            (from_centre.dot(x) * scale + shift(0)).floor() as i64,
+            (from_centre.dot(y) * scale + shift(16)).floor() as i64,
+            (from_centre.dot(z) * scale * self.slab + shift(32)).floor() as i64,
+        ];
+        Cell {
+            orientation,
+            resolution,
+            voxel,
+        }
+    }
+
+    /// The key of a direction sampled with `density` per steradian times connections: the cell of an equal-area map of the
+    /// sphere.
+    pub fn solid_angle(&self, direction: Vec3, density: f32) -> LightKey {
+        let resolution = self.quantize(sky_resolution(density));
+        let last = resolution - 1;
+        let place = equal_area_square(direction) * resolution as f32;
+        LightKey::SolidAngle {
+            cell: [(place.x as u32).min(last), (place.y as u32).min(last)],
+            resolution,
+        }
+    }
+}
+
+/// Eq. 9, corrected: a cell of an R x R equal-area map of the sphere covers `4 pi / R^2` steradians, and it must hold one
+/// sample of a technique with `density` samples per steradian (`P(w) N_P / N_S`), so `R = sqrt(4 pi density)`.
+fn sky_resolution(density: f32) -> f32 {
+    (4.0 * PI * density).sqrt()
+}
+
+/// The equal-area octahedral map of unit vectors to the unit square (Clarberg 2008, "Fast equal-area mapping of the
+/// (hemi)sphere using SIMD"): the plain octahedral map's cells differ by a factor of five.
+pub(super) fn equal_area_square(direction: Vec3) -> Vec2 {
+    let d = direction.abs();
+    let r = (1.0 - d.z).max(0.0).sqrt();
+    let phi = if d.x + d.y > 0.0 {
+        d.y.atan2(d.x) * FRAC_2_PI
+    } else {
+        0.0
+    };
+    let v = phi * r;
+    let u = r - v;
+    let (u, v) = if direction.z < 0.0 {
+        (1.0 - v, 1.0 - u)
+    } else {
+        (u, v)
+    };
+    Vec2::new(u.copysign(direction.x), v.copysign(direction.y)) * 0.5 + 0.5
+}

@@ -1,0 +1,628 @@
+//! Many lights: Algorithm 2 for blocks of 16 lights at once, on arrays instead of a hash table.
+//!
+//! The eyes of a tile fall into few cells, and each cell is asked about every light. So the cells of all eyes are numbered
+//! once (by hashing, with the numbers of their four neighbours), and for each block of lights a small array holds one word
+//! a cell: which of the 16 answers are known, and the answers. A look-up of 16 lights is then one load, and "do the
+//! neighbours agree?" is five loads and a few bit operations for all 16: far below a nanosecond a question, whatever the
+//! number of lights, since one block's array fits the nearest cache.
+//!
+//! Eyes are taken in the segments of [`order`](crate::order): within a segment all unknown clusters are traced together,
+//! light by light, then the answers serve everybody else.
+//!
+//! With a table shared by threads ([`Share`](super::Share)) the words of cells are fetched from and stored to a hash table
+//! keyed by cell and block: once a cell and block, not once a question.
+
+use super::key::Cell;
+use super::table::{BlockTable, BlockWord};
+use super::{Decisions, Guarantee, Quantized, QuantizedWorker, known, mix};
+use crate::many::bits;
+use crate::order::segments;
+use crate::{
+    BLOCK, BlockAnswers, EyeSample, LightEnd, ManyLights, Ray, SharedLight, Tracer, VisibilityStats,
+};
+
+/// Where memory has no reason for doubt, one answer in `2^CHECKED` is checked by a ray ([`Guarantee::Unbiased`]).
+const CHECKED: u32 = 5;
+/// The same for answers that had to be refined.
+const CHECKED_AT_EDGES: u32 = 2;
+
+/// No cell: a neighbour that no eye lies in.
+const NONE: u32 = u32::MAX;
+
+/// Buffers of one worker.
+#[derive(Debug, Default)]
+pub(super) struct Scratch {
+    numbering: Numbering,
+    wanted: Vec<u16>,
+    answers: Vec<BlockAnswers>,
+    /// The cells of the eyes, for each error reach that lights have asked for.
+    reaches: Vec<Reach>,
+    rays: Vec<Ray>,
+    occluded: Vec<bool>,
+    active: Vec<Active>,
+    next: Vec<Active>,
+    claims: [Vec<Claim>; BLOCK],
+    touched: Vec<u32>,
+}
+
+/// The cells of all eyes at one error reach, level by level.
+#[derive(Debug, Default)]
+struct Reach {
+    /// What the cells were made for; `None` if for other eyes.
+    extent: Option<Extent>,
+    levels: Vec<Level>,
+}
+
+/// The cells of one level.
+#[derive(Debug, Default)]
+struct Level {
+    /// The cell of each eye; [`NONE`] for eyes that have no cells.
+    cell_of: Vec<u32>,
+    hashes: Vec<u64>,
+    neighbours: Vec<[u32; 4]>,
+    /// What is known about the current block.
+    words: Vec<Word>,
+}
+
+/// What is known about a block from one cell.
+#[derive(Clone, Copy, Debug, Default)]
+struct Word {
+    answers: BlockWord,
+    /// The table behind has been asked.
+    fetched: bool,
+}
+
+/// An eye and the lights that it still asks about.
+#[derive(Clone, Copy, Debug)]
+struct Active {
+    eye: u32,
+    lights: u16,
+}
+
+/// A ray to trace, and whom its answer is for.
+#[derive(Clone, Copy, Debug)]
+struct Claim {
+    eye: u32,
+    /// The cell that the answer stands for, or [`NONE`].
+    cell: u32,
+    /// The answer that a check corrects, and 1 over the probability of checking; 0 for a claim that is no check.
+    cached: bool,
+    weight: f32,
+}
+
+/// Answers all blocks.
+pub(super) fn answer<T: Tracer>(
+    strategy: &Quantized,
+    tracer: &T,
+    worker: &mut QuantizedWorker,
+    eyes: &[EyeSample],
+    lights: &[SharedLight],
+    asker: &mut dyn ManyLights,
+) {
+    let QuantizedWorker {
+        own,
+        epoch,
+        decisions,
+        many: scratch,
+        stats,
+        held,
+        ..
+    } = worker;
+    let behind = strategy.blocks(own, held);
+    let (eye_passes, light_passes) = strategy.passes(*epoch);
+    let count = eyes.len();
+    for reach in &mut scratch.reaches {
+        reach.extent = None;
+    }
+    scratch.wanted.resize(count, 0);
+    scratch.answers.resize(count, [0.0; BLOCK]);
+    for (block, lights) in lights.chunks(BLOCK).enumerate() {
+        scratch.wanted[..count].fill(0);
+        asker.wanted(block, &mut scratch.wanted[..count]);
+        scratch.answers[..count].fill([0.0; BLOCK]);
+        stats.queries += scratch.wanted[..count]
+            .iter()
+            .map(|wanted| u64::from(wanted.count_ones()))
+            .sum::<u64>();
+
+        // Lights of one error reach are answered together; most blocks have one.
+        let mut left = u16::MAX >> (BLOCK - lights.len());
+        while left != 0 {
+            let extent = Extent::of(strategy, &lights[left.trailing_zeros() as usize]);
+            let alike = bits(left)
+                .filter(|&l| Extent::of(strategy, &lights[l]) == extent)
+                .fold(0u16, |mask, l| mask | 1 << l);
+            left &= !alike;
+            let group = Group::new(strategy, lights, alike, light_passes, decisions.salt);
+            let traced = stats.traced;
+            let mut asked = 0;
+            if extent.error > 0.0 && group.clustered {
+                let reach = scratch.reach(strategy, eyes, extent, eye_passes);
+                asked = scratch.answer_group(
+                    strategy, tracer, eyes, lights, &group, reach, behind, decisions, stats,
+                );
+            } else {
+                scratch.trace_exactly(tracer, eyes, lights, alike, stats);
+                asked += stats.traced - traced;
+            }
+            stats.answered += asked - (stats.traced - traced);
+        }
+        asker.take(block, &scratch.wanted[..count], &scratch.answers[..count]);
+    }
+}
+
+/// How large the eyes' cells for a light are, and how often they may be halved.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Extent {
+    /// The error reach, samples; larger for delta lights that are rarely picked, since fewer eyes ask about them.
+    error: f32,
+    levels: u32,
+}
+
+impl Extent {
+    fn of(strategy: &Quantized, light: &SharedLight) -> Self {
+        let error = strategy.error(&light.end);
+        let picked = match light.end {
+            LightEnd::Point(_) | LightEnd::Direction(_) => known(light.connections).unwrap_or(1.0),
+            LightEnd::Surface(_) | LightEnd::SolidAngle { .. } => 1.0,
+        };
+        Self {
+            error: error / picked.sqrt(),
+            levels: strategy.settings.levels(error),
+        }
+    }
+}
+
+/// Lights of one block that share an error reach.
+struct Group {
+    /// The lights of the group.
+    lights: u16,
+    /// Lights whose patch another light of the group shares: the bits of all that share it, by light.
+    patch: [u16; BLOCK],
+    /// Some patch has several lights.
+    shared_patches: bool,
+    /// All lights have keys.
+    clustered: bool,
+    /// Identifies the block's patches by their content, so that other lights never read these answers.
+    hash: u64,
+}
+
+impl Group {
+    fn new(
+        strategy: &Quantized,
+        lights: &[SharedLight],
+        members: u16,
+        passes: f32,
+        salt: u64,
+    ) -> Self {
+        let mut keys = [None; BLOCK];
+        let mut hash = mix(salt, u64::from(members));
+        let mut clustered = true;
+        for l in bits(members) {
+            let light = &lights[l];
+            keys[l] = strategy.light_key(&light.end, light.connections, passes);
+            clustered &= keys[l].is_some();
+            hash = mix(hash, keys[l].map_or(0, |key| key.half()));
+        }
+        let mut patch = [0u16; BLOCK];
+        for l in bits(members) {
+            patch[l] = bits(members)
+                .filter(|&other| keys[other] == keys[l])
+                .fold(0, |mask, other| mask | 1 << other);
+        }
+        Self {
+            lights: members,
+            shared_patches: bits(members).any(|l| patch[l].count_ones() > 1),
+            patch,
+            clustered,
+            hash,
+        }
+    }
+
+    /// All lights whose patches these lights lie in.
+    fn with_patches(&self, lights: u16) -> u16 {
+        if self.shared_patches {
+            bits(lights).fold(0, |mask, l| mask | self.patch[l])
+        } else {
+            lights
+        }
+    }
+
+    /// One light of each patch.
+    fn leaders(&self, lights: u16) -> u16 {
+        if !self.shared_patches {
+            return lights;
+        }
+        let mut left = lights;
+        let mut leaders = 0;
+        while left != 0 {
+            let l = left.trailing_zeros() as usize;
+            leaders |= 1 << l;
+            left &= !self.patch[l];
+        }
+        leaders
+    }
+}
+
+impl Scratch {
+    /// The index of the cells for an error reach, made if they are not there.
+    fn reach(
+        &mut self,
+        strategy: &Quantized,
+        eyes: &[EyeSample],
+        extent: Extent,
+        eye_passes: f32,
+    ) -> usize {
+        let made = |reach: &Reach| reach.extent == Some(extent);
+        if let Some(index) = self.reaches.iter().position(made) {
+            return index;
+        }
+        let index = match self.reaches.iter().position(|reach| reach.extent.is_none()) {
+            Some(index) => index,
+            None => {
+                self.reaches.push(Reach::default());
+                self.reaches.len() - 1
+            }
+        };
+        let reach = &mut self.reaches[index];
+        reach.extent = Some(extent);
+        reach
+            .levels
+            .resize_with(extent.levels as usize, Level::default);
+        for (depth, level) in reach.levels.iter_mut().enumerate() {
+            let error = extent.error / (1u32 << depth.min(31)) as f32;
+            level.number_cells(strategy, eyes, error, eye_passes, &mut self.numbering);
+        }
+        index
+    }
+
+    /// Answers a group of lights for all eyes; returns how many questions that were.
+    fn answer_group<T: Tracer>(
+        &mut self,
+        strategy: &Quantized,
+        tracer: &T,
+        eyes: &[EyeSample],
+        lights: &[SharedLight],
+        group: &Group,
+        index: usize,
+        behind: Option<&BlockTable>,
+        decisions: &mut Decisions,
+        stats: &mut VisibilityStats,
+    ) -> u64 {
+        let unbiased = strategy.settings.guarantee == Guarantee::Unbiased;
+        let mut reach = std::mem::take(&mut self.reaches[index]);
+        for level in &mut reach.levels {
+            level.words.clear();
+            level.words.resize(level.hashes.len(), Word::default());
+        }
+        let mut asked = 0;
+        let error = reach.extent.map_or(1.0, |extent| extent.error);
+        let first = eyes.len() as f32 / (error * error);
+        for segment in segments(eyes.len(), first) {
+            self.active.clear();
+            for eye in segment {
+                let wanted = self.wanted[eye] & group.lights;
+                asked += u64::from(wanted.count_ones());
+                if wanted != 0 {
+                    self.active.push(Active {
+                        eye: eye as u32,
+                        lights: wanted,
+                    });
+                }
+            }
+            let levels = reach.levels.len();
+            for depth in 0..levels {
+                let level = &mut reach.levels[depth];
+                self.claim(level, group, behind);
+                self.trace(tracer, eyes, lights, Some((level, group)), stats);
+                self.store(level, group, behind, stats);
+                let last = depth + 1 == levels;
+                self.refine(level, depth, last, unbiased, decisions);
+                if unbiased {
+                    self.trace(tracer, eyes, lights, None, stats);
+                }
+                let refined: u64 = self
+                    .next
+                    .iter()
+                    .map(|active| u64::from(active.lights.count_ones()))
+                    .sum();
+                if refined > 0 {
+                    if stats.refined.len() <= depth {
+                        stats.refined.resize(depth + 1, 0);
+                    }
+                    stats.refined[depth] += refined;
+                }
+                std::mem::swap(&mut self.active, &mut self.next);
+                if self.active.is_empty() {
+                    break;
+                }
+            }
+        }
+        self.reaches[index] = reach;
+        asked
+    }
+
+    /// Whoever first asks about an unknown cluster claims it: traces its own ray, which then stands for the cluster.
+    fn claim(&mut self, level: &mut Level, group: &Group, behind: Option<&BlockTable>) {
+        self.touched.clear();
+        for active in &mut self.active {
+            let cell = level.cell_of[active.eye as usize];
+            if cell == NONE {
+                for l in bits(active.lights) {
+                    self.claims[l].push(Claim::exact(active.eye));
+                }
+                active.lights = 0;
+                continue;
+            }
+            let word = &mut level.words[cell as usize];
+            let mut unknown = active.lights & !word.answers.known;
+            if unknown == 0 {
+                continue;
+            }
+            if let (false, Some(table)) = (word.fetched, behind) {
+                word.fetched = true;
+                word.answers = table.get(mix(level.hashes[cell as usize], group.hash));
+                unknown &= !word.answers.known;
+                if unknown == 0 {
+                    continue;
+                }
+            }
+            let claimed = group.leaders(unknown);
+            for l in bits(claimed) {
+                self.claims[l].push(Claim {
+                    cell,
+                    ..Claim::exact(active.eye)
+                });
+            }
+            word.answers.known |= group.with_patches(claimed);
+            active.lights &= !claimed;
+            if behind.is_some() {
+                self.touched.push(cell);
+            }
+        }
+    }
+
+    /// Traces all claims, light by light, and notes the answers.
+    fn trace<T: Tracer>(
+        &mut self,
+        tracer: &T,
+        eyes: &[EyeSample],
+        lights: &[SharedLight],
+        mut clusters: Option<(&mut Level, &Group)>,
+        stats: &mut VisibilityStats,
+    ) {
+        for (l, claims) in self.claims.iter_mut().enumerate() {
+            if claims.is_empty() {
+                continue;
+            }
+            self.rays.clear();
+            self.rays.extend(
+                claims
+                    .iter()
+                    .map(|claim| lights[l].ray_from(eyes[claim.eye as usize].origin)),
+            );
+            self.occluded.clear();
+            self.occluded.resize(self.rays.len(), false);
+            tracer.occluded_batch(&self.rays, &mut self.occluded);
+            stats.traced += self.rays.len() as u64;
+            for (claim, &occluded) in claims.iter().zip(&self.occluded) {
+                self.answers[claim.eye as usize][l] = claim.answer(!occluded);
+                if let (Some((level, group)), false, true) =
+                    (&mut clusters, occluded, claim.cell != NONE)
+                {
+                    level.words[claim.cell as usize].answers.visible |= group.patch[l];
+                }
+            }
+            claims.clear();
+        }
+    }
+
+    /// Hands new answers to the table behind.
+    fn store(
+        &mut self,
+        level: &Level,
+        group: &Group,
+        behind: Option<&BlockTable>,
+        stats: &mut VisibilityStats,
+    ) {
+        let Some(table) = behind else {
+            return;
+        };
+        for &cell in &self.touched {
+            let digest = mix(level.hashes[cell as usize], group.hash);
+            let answers = level.words[cell as usize].answers;
+            stats.overwritten += u64::from(table.put(digest, answers));
+        }
+    }
+
+    /// Answers from the clusters; questions whose neighbours disagree go to the next level.
+    fn refine(
+        &mut self,
+        level: &Level,
+        depth: usize,
+        last: bool,
+        unbiased: bool,
+        decisions: &mut Decisions,
+    ) {
+        self.next.clear();
+        for active in &self.active {
+            if active.lights == 0 {
+                continue;
+            }
+            let cell = level.cell_of[active.eye as usize] as usize;
+            let visible = level.words[cell].answers.visible;
+            let disagree = if last && !unbiased {
+                0
+            } else {
+                active.lights & level.disagreement(cell)
+            };
+            let mut settled = active.lights & !disagree;
+            if last {
+                settled = active.lights;
+            } else if disagree != 0 {
+                self.next.push(Active {
+                    eye: active.eye,
+                    lights: disagree,
+                });
+            }
+            add_bits(&mut self.answers[active.eye as usize], settled & visible);
+            if unbiased {
+                let halvings = if depth == 0 {
+                    CHECKED
+                } else {
+                    CHECKED_AT_EDGES
+                };
+                // Each bit survives with probability 2^-halvings.
+                let chosen =
+                    (0..halvings).fold(u16::MAX, |mask, _| mask & decisions.random() as u16);
+                let weight = (1u32 << halvings) as f32;
+                for l in bits(settled & (chosen | disagree)) {
+                    let weight = if disagree >> l & 1 != 0 { 1.0 } else { weight };
+                    self.claims[l].push(Claim {
+                        eye: active.eye,
+                        cell: NONE,
+                        cached: visible >> l & 1 != 0,
+                        weight,
+                    });
+                }
+            }
+        }
+    }
+
+    /// Traces all questions about some lights of a block.
+    fn trace_exactly<T: Tracer>(
+        &mut self,
+        tracer: &T,
+        eyes: &[EyeSample],
+        lights: &[SharedLight],
+        members: u16,
+        stats: &mut VisibilityStats,
+    ) {
+        for eye in 0..eyes.len() {
+            for l in bits(self.wanted[eye] & members) {
+                self.claims[l].push(Claim::exact(eye as u32));
+            }
+        }
+        self.trace(tracer, eyes, lights, None, stats);
+    }
+}
+
+impl Claim {
+    fn exact(eye: u32) -> Self {
+        Self {
+            eye,
+            cell: NONE,
+            cached: false,
+            weight: 1.0,
+        }
+    }
+
+    /// `V' = Vc + (V - Vc) / p` for a check, `V` for a claim (`p` is 1 there).
+    fn answer(&self, visible: bool) -> f32 {
+        let [cached, exact] = [self.cached, visible].map(|v| if v { 1.0 } else { 0.0 });
+        cached + (exact - cached) * self.weight
+    }
+}
+
+/// Adds 1 where a bit is set.
+fn add_bits(answers: &mut BlockAnswers, mask: u16) {
+    for (l, answer) in answers.iter_mut().enumerate() {
+        *answer += if mask & 1 << l != 0 { 1.0 } else { 0.0 };
+    }
+}
+
+impl Level {
+    /// Bits of known answers that differ from those of a known neighbour.
+    fn disagreement(&self, cell: usize) -> u16 {
+        let own = self.words[cell].answers;
+        let differing = self.neighbours[cell]
+            .iter()
+            .filter(|&&neighbour| neighbour != NONE)
+            .map(|&neighbour| {
+                let other = self.words[neighbour as usize].answers;
+                other.known & (other.visible ^ own.visible)
+            })
+            .fold(0, |mask, differing| mask | differing);
+        differing & own.known
+    }
+
+    /// Finds the cell of each eye, and the neighbours of each cell.
+    fn number_cells(
+        &mut self,
+        strategy: &Quantized,
+        eyes: &[EyeSample],
+        error: f32,
+        eye_passes: f32,
+        numbering: &mut Numbering,
+    ) {
+        let grids = &strategy.grids;
+        self.cell_of.clear();
+        self.hashes.clear();
+        numbering.clear(eyes.len());
+        let mut cells: Vec<Cell> = Vec::new();
+        for eye in eyes {
+            let cell = known(eye.end.density)
+                .zip(grids.orientation(eye.end.normal))
+                .map(|(density, orientation)| {
+                    let resolution = grids.resolution(density * eye_passes) / error;
+                    grids.cell(eye.end.position, orientation, grids.quantize(resolution))
+                });
+            self.cell_of.push(match cell {
+                None => NONE,
+                Some(cell) => {
+                    let hash = cell.half();
+                    let number = numbering.find_or_insert(hash, self.hashes.len() as u32);
+                    if number as usize == self.hashes.len() {
+                        self.hashes.push(hash);
+                        cells.push(cell);
+                    }
+                    number
+                }
+            });
+        }
+        self.neighbours.clear();
+        self.neighbours.extend(cells.iter().map(|cell| {
+            cell.neighbours()
+                .map(|neighbour| numbering.find(neighbour.half()).unwrap_or(NONE))
+        }));
+    }
+}
+
+/// Numbers for hashes: open addressing, at most half full. Hashes of 64 bits stand for the cells themselves: among n cells
+/// two share one with probability `n^2 / 2^65`.
+#[derive(Debug, Default)]
+struct Numbering {
+    slots: Vec<(u64, u32)>,
+}
+
+impl Numbering {
+    fn clear(&mut self, count: usize) {
+        self.slots.clear();
+        self.slots
+            .resize((2 * count).next_power_of_two(), (0, NONE));
+    }
+
+    fn place(&self, hash: u64) -> usize {
+        let mask = self.slots.len() - 1;
+        let mut place = hash as usize & mask;
+        while self.slots[place].1 != NONE && self.slots[place].0 != hash {
+            place = (place + 1) & mask;
+        }
+        place
+    }
+
+    fn find(&self, hash: u64) -> Option<u32> {
+        let (_, number) = self.slots[self.place(hash)];
+        (number != NONE).then_some(number)
+    }
+
+    /// The hash's number; a new hash gets `next`.
+    fn find_or_insert(&mut self, hash: u64, next: u32) -> u32 {
+        let place = self.place(hash);
+        let slot = &mut self.slots[place];
+        if slot.1 == NONE {
+            *slot = (hash, next);
+        }
+        slot.1
+    }
+}

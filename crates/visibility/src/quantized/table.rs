@@ -1,0 +1,119 @@
+//! Lossy tables: a newcomer overwrites whoever stands in its place.
+//!
+//! All words are atomics that are read and written whole and without order: a race costs a ray, never a wrong answer.
+//! Nothing is ever cleared: the epoch is part of the digest.
+
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
+
+/// One answer a word: 31 bits of digest and the answer (Popov 2013, section 4.1). 0 is empty.
+#[derive(Debug)]
+pub(super) struct WordTable {
+    words: Vec<AtomicU32>,
+}
+
+impl WordTable {
+    /// A table of at most `bytes`, a power of two of words; at least one.
+    pub fn new(bytes: usize) -> Self {
+        let count = power_of_two(bytes / size_of::<AtomicU32>());
+        Self {
+            words: (0..count).map(|_| AtomicU32::new(0)).collect(),
+        }
+    }
+
+    pub fn bytes(&self) -> usize {
+        self.words.len() * size_of::<AtomicU32>()
+    }
+
+    fn word(&self, digest: u64) -> &AtomicU32 {
+        &self.words[(digest >> 32) as usize & (self.words.len() - 1)]
+    }
+
+    pub fn get(&self, digest: u64) -> Option<bool> {
+        let word = self.word(digest).load(Relaxed);
+        (word & !1 == tag(digest)).then_some(word & 1 != 0)
+    }
+
+    /// Stores an answer; returns whether another one had to go.
+    pub fn put(&self, digest: u64, visible: bool) -> bool {
+        let word = self.word(digest);
+        let before = word.load(Relaxed);
+        word.store(tag(digest) | u32::from(visible), Relaxed);
+        before != 0 && before & !1 != tag(digest)
+    }
+
+    /// Share of words that hold something.
+    pub fn load(&self) -> f64 {
+        let live = self.words.iter().filter(|w| w.load(Relaxed) != 0).count();
+        live as f64 / self.words.len() as f64
+    }
+}
+
+/// The upper 31 bits of a word; never 0, which means empty.
+fn tag(digest: u64) -> u32 {
+    ((digest as u32) << 1).max(2)
+}
+
+/// The answers of an eye cluster about a block of 16 lights in one word: 32 bits of digest, 16 that say which answers are
+/// known, and 16 answers.
+#[derive(Debug)]
+pub(super) struct BlockTable {
+    words: Vec<AtomicU64>,
+}
+
+/// Answers about the 16 lights of a block. Bits of `visible` are 0 where `known`'s are.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct BlockWord {
+    pub known: u16,
+    pub visible: u16,
+}
+
+impl BlockTable {
+    /// A table of at most `bytes`, a power of two of words; at least one.
+    pub fn new(bytes: usize) -> Self {
+        let count = power_of_two(bytes / size_of::<AtomicU64>());
+        Self {
+            words: (0..count).map(|_| AtomicU64::new(0)).collect(),
+        }
+    }
+
+    pub fn bytes(&self) -> usize {
+        self.words.len() * size_of::<AtomicU64>()
+    }
+
+    fn word(&self, digest: u64) -> &AtomicU64 {
+        &self.words[(digest >> 32) as usize & (self.words.len() - 1)]
+    }
+
+    pub fn get(&self, digest: u64) -> BlockWord {
+        let word = self.word(digest).load(Relaxed);
+        if word >> 32 == digest & 0xffff_ffff {
+            BlockWord {
+                known: (word >> 16) as u16,
+                visible: word as u16,
+            }
+        } else {
+            BlockWord::default()
+        }
+    }
+
+    /// Stores what is known; returns whether another block's answers had to go.
+    pub fn put(&self, digest: u64, answers: BlockWord) -> bool {
+        let word = self.word(digest);
+        let before = word.load(Relaxed);
+        let tag = digest & 0xffff_ffff;
+        let new = tag << 32 | u64::from(answers.known) << 16 | u64::from(answers.visible);
+        word.store(new, Relaxed);
+        before != 0 && before >> 32 != tag
+    }
+
+    /// Share of words that hold something.
+    pub fn load(&self) -> f64 {
+        let live = self.words.iter().filter(|w| w.load(Relaxed) != 0).count();
+        live as f64 / self.words.len() as f64
+    }
+}
+
+/// The largest power of two that is at most `n`, or 1.
+fn power_of_two(n: usize) -> usize {
+    n.checked_ilog2().map_or(1, |log| 1 << log)
+}
