@@ -7,6 +7,8 @@
 //!   1e-6 in its normal does not split it into four orientations.
 //! * Every grid is shifted by a hash of its orientation and resolution, so that planes at round coordinates do not lie on
 //!   the faces of voxels.
+//! * Light patches, and the thinning of eyes by picking one of many lights, are rounded to powers of two, not of `C_R`: a light
+//!   sampled by solid angle has another density from every eye, and fine steps would give neighbouring eyes different keys.
 //! * Eq. 9: the printed resolution is too small by 4 pi, see [`sky_resolution`].
 
 use super::digest::{fold, mix};
@@ -195,6 +197,11 @@ impl Grids {
         (power * self.step).exp().clamp(1.0, self.finest) as u32
     }
 
+    /// The same for light patches, in powers of two.
+    pub fn quantize_light(&self, resolution: f32) -> u32 {
+        nearest_power_of_two(resolution.clamp(1.0, self.finest)).min(self.finest) as u32
+    }
+
     /// The cell of a surface point in the grid of an orientation and a quantized resolution.
     pub fn cell(&self, position: Vec3, orientation: u32, resolution: u32) -> Cell {
         let [x, y, z] = self.frames[orientation as usize];
@@ -220,7 +227,7 @@ impl Grids {
     /// The key of a direction sampled with `density` per steradian times connections: the cell of an equal-area map of the
     /// sphere.
     pub fn solid_angle(&self, direction: Vec3, density: f32) -> LightKey {
-        let resolution = self.quantize(sky_resolution(density));
+        let resolution = self.quantize_light(sky_resolution(density));
         let last = resolution - 1;
         let place = equal_area_square(direction) * resolution as f32;
         LightKey::SolidAngle {
@@ -228,6 +235,11 @@ impl Grids {
             resolution,
         }
     }
+}
+
+/// `x` rounded to a power of two.
+pub(super) fn nearest_power_of_two(x: f32) -> f32 {
+    x.log2().round().exp2()
 }
 
 /// Eq. 9, corrected: a cell of an R x R equal-area map of the sphere covers `4 pi / R^2` steradians, and it must hold one

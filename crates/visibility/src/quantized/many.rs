@@ -12,7 +12,7 @@
 //! With a table shared by threads ([`Share`](super::Share)) the words of cells are fetched from and stored to a hash table
 //! keyed by cell and block: once a cell and block, not once a question.
 
-use super::key::Cell;
+use super::key::{Cell, nearest_power_of_two};
 use super::table::{BlockTable, BlockWord};
 use super::{Decisions, Guarantee, Quantized, QuantizedWorker, known, mix};
 use crate::many::bits;
@@ -163,11 +163,13 @@ impl Extent {
     fn of(strategy: &Quantized, light: &SharedLight) -> Self {
         let error = strategy.error(&light.end);
         let picked = match light.end {
-            LightEnd::Point(_) | LightEnd::Direction(_) => known(light.connections).unwrap_or(1.0),
+            LightEnd::Point(_) | LightEnd::Direction(_) => {
+                nearest_power_of_two(known(light.connections).unwrap_or(1.0).sqrt())
+            }
             LightEnd::Surface(_) | LightEnd::SolidAngle { .. } => 1.0,
         };
         Self {
-            error: error / picked.sqrt(),
+            error: error / picked,
             levels: strategy.settings.levels(error),
         }
     }

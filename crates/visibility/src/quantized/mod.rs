@@ -46,7 +46,7 @@ use crate::{
 };
 use digest::mix;
 use glam::Vec3;
-use key::{Cell, Grids, LightKey};
+use key::{Cell, Grids, LightKey, nearest_power_of_two};
 use std::sync::OnceLock;
 use table::{BlockTable, WordTable};
 
@@ -191,7 +191,7 @@ impl Quantized {
                 let resolution = self
                     .grids
                     .resolution(known(end.density * connections)? * passes);
-                self.surface_key(end, resolution)
+                self.surface_key(end, self.grids.quantize_light(resolution))
             }
             LightEnd::SolidAngle { direction, density } => {
                 let density = known(density * connections)? * passes;
@@ -200,9 +200,8 @@ impl Quantized {
         }
     }
 
-    fn surface_key(&self, end: &Endpoint, resolution: f32) -> Option<LightKey> {
+    fn surface_key(&self, end: &Endpoint, resolution: u32) -> Option<LightKey> {
         let orientation = self.grids.orientation(end.normal)?;
-        let resolution = self.grids.quantize(resolution);
         let cell = self.grids.cell(end.position, orientation, resolution);
         Some(LightKey::Surface(cell))
     }
@@ -220,7 +219,7 @@ impl Quantized {
         if let (Pairing::Both, LightEnd::Surface(light)) = (self.settings.pairing, &query.light) {
             let pair = density * known(light.density * query.connections)? / (error * error);
             let resolution = self.grids.pair_resolution(pair);
-            let light = self.surface_key(light, resolution)?;
+            let light = self.surface_key(light, self.grids.quantize(resolution))?;
             return Some(Clustered {
                 orientation,
                 position: query.eye.position,
@@ -232,14 +231,16 @@ impl Quantized {
         }
         let picked = match query.light {
             // Lights without a density: the probability of the pick thins out the eyes that ask.
-            LightEnd::Point(_) | LightEnd::Direction(_) => known(query.connections)?,
+            LightEnd::Point(_) | LightEnd::Direction(_) => {
+                nearest_power_of_two(known(query.connections)?.sqrt())
+            }
             LightEnd::Surface(_) | LightEnd::SolidAngle { .. } => 1.0,
         };
         let light = self.light_key(&query.light, query.connections, light_passes)?;
         Some(Clustered {
             orientation,
             position: query.eye.position,
-            resolution: self.grids.resolution(density * picked) / error,
+            resolution: self.grids.resolution(density) * picked / error,
             light,
             light_half: light.half(),
             levels,
