@@ -5,7 +5,7 @@
 //! inside a batch this is Algorithm 2: neighbours that the batch itself has traced count as present.
 
 use super::key::Cell;
-use super::table::WordTable;
+use super::table::{Memory, WordTable};
 use super::{Clustered, Decisions, Guarantee, Quantized, QuantizedWorker};
 use crate::{Query, Ray, Tracer, VisibilityStats};
 
@@ -45,12 +45,13 @@ struct Miss {
 struct Found {
     query: u32,
     cell: Cell,
+    digest: u64,
     value: Value,
 }
 
 #[derive(Clone, Copy, Debug)]
 enum Value {
-    Known(bool),
+    Known(Memory),
     /// The answer to be of this digest's miss.
     Awaited(u32),
 }
@@ -59,7 +60,8 @@ enum Value {
 #[derive(Clone, Copy, Debug)]
 struct Check {
     query: u32,
-    cached: f32,
+    digest: u64,
+    cached: bool,
     probability: f32,
 }
 
@@ -99,7 +101,7 @@ pub(super) fn answer<T: Tracer>(
         std::mem::swap(&mut scratch.active, &mut scratch.next);
         level += 1;
     }
-    check(tracer, scratch, queries, answers, stats);
+    check(tracer, scratch, queries, answers, table, stats);
     // A refined question may miss at one level only, and a checked one has not missed: each traced at most one ray.
     stats.answered += queries.len() as u64 - (stats.traced - traced);
 }
@@ -122,7 +124,7 @@ fn look_up(strategy: &Quantized, table: &WordTable, scratch: &mut Scratch, level
         let digest = strategy.digest(&cell, clustered, salt);
         let next = scratch.misses.len() as u32;
         let value = match table.get(digest) {
-            Some(visible) => Value::Known(visible),
+            Some(memory) => Value::Known(memory),
             None => match scratch.pending.find_or_insert(digest, next) {
                 Some(miss) => Value::Awaited(miss),
                 None => {
@@ -135,7 +137,12 @@ fn look_up(strategy: &Quantized, table: &WordTable, scratch: &mut Scratch, level
                 }
             },
         };
-        scratch.found.push(Found { query, cell, value });
+        scratch.found.push(Found {
+            query,
+            cell,
+            digest,
+            value,
+        });
     }
 }
 
@@ -176,7 +183,11 @@ fn trace<T: Tracer>(
         visible[number as usize] = !occluded;
         answers[miss.query as usize] = if occluded { 0.0 } else { 1.0 };
         if let Some(digest) = miss.digest {
-            stats.overwritten += u64::from(table.put(digest, !occluded));
+            let memory = Memory {
+                visible: !occluded,
+                contested: false,
+            };
+            stats.overwritten += u64::from(table.put(digest, memory));
         }
     }
     stats.traced += misses.len() as u64;
@@ -195,27 +206,38 @@ fn refine(
 ) {
     scratch.next.clear();
     let unbiased = strategy.settings.guarantee == Guarantee::Unbiased;
-    for &Found { query, cell, value } in &scratch.found {
+    for &Found {
+        query,
+        cell,
+        digest,
+        value,
+    } in &scratch.found
+    {
         let Some(clustered) = &scratch.clustered[query as usize] else {
             continue;
         };
-        let visible = match value {
-            Value::Known(visible) => visible,
-            Value::Awaited(miss) => scratch.visible[miss as usize],
+        let Memory { visible, contested } = match value {
+            Value::Known(memory) => memory,
+            Value::Awaited(miss) => Memory {
+                visible: scratch.visible[miss as usize],
+                contested: false,
+            },
         };
         let last = level + 1 >= clustered.levels;
         let look_around = !last || unbiased;
-        let agree = !look_around
-            || cell.neighbours().iter().all(|neighbour| {
-                let digest = strategy.digest(neighbour, clustered, decisions.salt);
-                table.get(digest).is_none_or(|other| other == visible)
-            });
+        let agree = !contested
+            && (!look_around
+                || cell.neighbours().iter().all(|neighbour| {
+                    let digest = strategy.digest(neighbour, clustered, decisions.salt);
+                    table
+                        .get(digest)
+                        .is_none_or(|other| other.visible == visible)
+                }));
         if !agree && !last {
             scratch.next.push(query);
             continue;
         }
-        let cached = if visible { 1.0 } else { 0.0 };
-        answers[query as usize] = cached;
+        answers[query as usize] = if visible { 1.0 } else { 0.0 };
         if unbiased {
             let probability = match (agree, level) {
                 (false, _) => 1.0,
@@ -225,7 +247,8 @@ fn refine(
             if decisions.decide(probability) {
                 scratch.checks.push(Check {
                     query,
-                    cached,
+                    digest,
+                    cached: visible,
                     probability,
                 });
             }
@@ -242,12 +265,14 @@ fn refine(
 }
 
 /// Traces the chosen answers, and corrects them so that the mean is right: `V' = Vc + (V - Vc) [u < p] / p`, where neither
-/// `Vc` nor `p` depends on `u`.
+/// `Vc` nor `p` depends on `u`. Where a ray and memory differ, memory is contested from then on: later questions refine there,
+/// and are checked more often.
 fn check<T: Tracer>(
     tracer: &T,
     scratch: &mut Scratch,
     queries: &[Query],
     answers: &mut [f32],
+    table: &WordTable,
     stats: &mut VisibilityStats,
 ) {
     let Scratch {
@@ -262,8 +287,15 @@ fn check<T: Tracer>(
     occluded.resize(rays.len(), false);
     tracer.occluded_batch(rays, occluded);
     for (check, &occluded) in checks.iter().zip(occluded.iter()) {
-        let exact = if occluded { 0.0 } else { 1.0 };
-        answers[check.query as usize] = check.cached + (exact - check.cached) / check.probability;
+        let [cached, exact] = [check.cached, !occluded].map(|v| if v { 1.0 } else { 0.0 });
+        answers[check.query as usize] = cached + (exact - cached) / check.probability;
+        if cached != exact {
+            let memory = Memory {
+                visible: check.cached,
+                contested: true,
+            };
+            stats.overwritten += u64::from(table.put(check.digest, memory));
+        }
     }
     stats.traced += checks.len() as u64;
 }

@@ -5,10 +5,19 @@
 
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
 
-/// One answer a word: 31 bits of digest and the answer (Popov 2013, section 4.1). 0 is empty.
+/// One answer a word: 30 bits of digest, the answer, and whether a check has found it wrong somewhere (Popov 2013, section
+/// 4.1, has 31 bits and no checks). 0 is empty.
 #[derive(Debug)]
 pub(super) struct WordTable {
     words: Vec<AtomicU32>,
+}
+
+/// What is remembered about a pair of patches.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Memory {
+    pub visible: bool,
+    /// Some ends of these patches see each other and some do not.
+    pub contested: bool,
 }
 
 impl WordTable {
@@ -28,17 +37,21 @@ impl WordTable {
         &self.words[(digest >> 32) as usize & (self.words.len() - 1)]
     }
 
-    pub fn get(&self, digest: u64) -> Option<bool> {
+    pub fn get(&self, digest: u64) -> Option<Memory> {
         let word = self.word(digest).load(Relaxed);
-        (word & !1 == tag(digest)).then_some(word & 1 != 0)
+        (word & !3 == tag(digest)).then_some(Memory {
+            visible: word & 1 != 0,
+            contested: word & 2 != 0,
+        })
     }
 
     /// Stores an answer; returns whether another one had to go.
-    pub fn put(&self, digest: u64, visible: bool) -> bool {
+    pub fn put(&self, digest: u64, memory: Memory) -> bool {
         let word = self.word(digest);
         let before = word.load(Relaxed);
-        word.store(tag(digest) | u32::from(visible), Relaxed);
-        before != 0 && before & !1 != tag(digest)
+        let bits = u32::from(memory.visible) | u32::from(memory.contested) << 1;
+        word.store(tag(digest) | bits, Relaxed);
+        before != 0 && before & !3 != tag(digest)
     }
 
     /// Share of words that hold something.
@@ -48,9 +61,9 @@ impl WordTable {
     }
 }
 
-/// The upper 31 bits of a word; never 0, which means empty.
+/// The upper 30 bits of a word; never 0, which means empty.
 fn tag(digest: u64) -> u32 {
-    ((digest as u32) << 1).max(2)
+    ((digest as u32) << 2).max(4)
 }
 
 /// The answers of an eye cluster about a block of 16 lights in one word: 32 bits of digest, 16 that say which answers are
