@@ -11,9 +11,9 @@ pub struct Endpoint {
     /// World-space position.
     pub position: Vec3,
     /// Density of the sampling that put the point there, in samples per square unit (0: not known). At an eye end all eye
-    /// samples of one pass count (`N_S P_e` in Popov 2013); at a light end it is the probability density of one sample
-    /// (`P_l`), the probability of having picked this light included. Infinite: no other question is like
-    /// this one, and only a ray of its own answers it.
+    /// paths of the picture count, taken once a pixel (`N_S P_e` in Popov 2013 for one sample a pixel); at a light end it is
+    /// the probability density of one sample (`P_l`), the probability of having picked this light included. Infinite: no
+    /// other question is like this one, and only a ray of its own answers it.
     pub density: f32,
     /// Unit geometric normal, on the side that the connection leaves.
     pub normal: Vec3,
@@ -79,12 +79,25 @@ impl Query {
 }
 
 /// The part of a job that questions belong to: one tile of one pass.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Epoch {
-    /// Index of the pass over the picture, from 0.
+    /// Number of the pass's first sample of a pixel, from 0.
     pub pass: u32,
+    /// Samples of a pixel that the pass takes, at least 1.
+    pub samples: u32,
     /// Index of the tile (or of any other unit that one worker does alone), from 0.
     pub tile: u32,
+}
+
+impl Default for Epoch {
+    /// The only pass and tile, of one sample a pixel.
+    fn default() -> Self {
+        Self {
+            pass: 0,
+            samples: 1,
+            tile: 0,
+        }
+    }
 }
 
 /// What an answer may be trusted for.

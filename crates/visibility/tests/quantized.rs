@@ -216,7 +216,7 @@ fn uniform_visibility_has_no_error() {
                     let mut worker = worker(&strategy);
                     let epoch = Epoch {
                         pass: pass as u32,
-                        tile: 0,
+                        ..Epoch::default()
                     };
                     Visibility::<Spheres>::begin(&strategy, &mut worker, epoch);
                     let many = ask_many(&strategy, world, &mut worker, &eyes, &lights, &all);
@@ -436,7 +436,7 @@ fn consistent_answers_converge() {
     });
     let wrong = [0, 3, 15, 63, 255].map(|pass| {
         let mut worker = worker(&strategy);
-        Visibility::<Spheres>::begin(&strategy, &mut worker, Epoch { pass, tile: 0 });
+        Visibility::<Spheres>::begin(&strategy, &mut worker, Epoch { pass, ..Epoch::default() });
         let found = ask_many(&strategy, &world, &mut worker, &eyes, &lights, &all);
         let wrong = found
             .concat()
@@ -466,7 +466,7 @@ fn tiles_do_not_depend_on_history() {
             guarantee,
             ..Default::default()
         });
-        let epoch = |tile| Epoch { pass: 3, tile };
+        let epoch = |tile| Epoch { pass: 3, tile, ..Epoch::default() };
         let answer = |worker: &mut _, tile, eyes: &[EyeSample]| {
             Visibility::<Spheres>::begin(&strategy, worker, epoch(tile));
             let many = ask_many(&strategy, &world, worker, eyes, &lights, &all);
@@ -498,7 +498,7 @@ fn shared_tables_remember() {
         let mut worker = worker(&strategy);
         let mut before = 0;
         let traced = [0, 1].map(|tile| {
-            Visibility::<Spheres>::begin(&strategy, &mut worker, Epoch { pass: 0, tile });
+            Visibility::<Spheres>::begin(&strategy, &mut worker, Epoch { tile, ..Epoch::default() });
             let lights = lights[tile as usize];
             ask_many(&strategy, &world, &mut worker, &eyes, lights, &all);
             let now = stats(&strategy, &worker).traced;

@@ -102,6 +102,8 @@ fn quantized(
 ) -> Result<Quantized, CliError> {
     let asks = match args.integrator {
         Integrator::Path | Integrator::Direct | Integrator::Ao => Asks::Single,
+        Integrator::Bidirectional => Asks::Pairs,
+        Integrator::InstantRadiosity => Asks::Many,
     };
     let guarantee = args.guarantee.unwrap_or(GuaranteeName::Bounded);
     let settings = options.settings(asks, guarantee, args.known_samples(), context.common.seed);

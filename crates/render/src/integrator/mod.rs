@@ -422,6 +422,7 @@ impl Unit {
     fn epoch(&self) -> Epoch {
         Epoch {
             pass: self.samples.start,
+            samples: self.samples.len() as u32,
             tile: self.index,
         }
     }

@@ -165,16 +165,17 @@ impl Quantized {
         }
     }
 
-    /// How many passes' samples the densities of eyes and lights stand for: both ends' patches shrink in a consistent job.
+    /// How many samples a pixel the densities of eyes and of lights stand for: as many as remember together. Both ends'
+    /// patches shrink in a consistent job.
     fn passes(&self, epoch: Epoch) -> (f32, f32) {
-        match self.settings.guarantee {
-            Guarantee::Consistent => {
-                let so_far = epoch.pass as f32 + 1.0;
+        let now = epoch.samples.max(1);
+        match (self.settings.guarantee, self.settings.share) {
+            (Guarantee::Consistent, _) => {
+                let so_far = epoch.pass as f32 + now as f32;
                 (so_far, so_far)
             }
-            Guarantee::Bounded | Guarantee::Unbiased => {
-                (self.settings.samples_per_pixel as f32, 1.0)
-            }
+            (_, Share::Tile) => (now as f32, 1.0),
+            (_, Share::Thread | Share::All) => (self.settings.samples_per_pixel.max(now) as f32, 1.0),
         }
     }
 

@@ -118,9 +118,7 @@ pub struct QuantizedSettings {
     pub guarantee: Guarantee,
     /// How pairs of surfaces are measured.
     pub pairing: Pairing,
-    /// Samples a pixel of the whole job: they make eyes denser than the one pass that [`Endpoint::density`] counts.
-    ///
-    /// [`Endpoint::density`]: crate::Endpoint::density
+    /// Samples a pixel of the whole job: what tables shared by all passes see.
     pub samples_per_pixel: u32,
     /// Seed of the checks of [`Guarantee::Unbiased`].
     pub seed: u64,

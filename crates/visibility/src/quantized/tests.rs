@@ -313,7 +313,7 @@ fn clusters_answer_with_their_mean_visibility() {
         let mut worker = Visibility::<fn(&Ray) -> bool>::worker(&strategy);
         let epoch = Epoch {
             pass: run as u32,
-            tile: 0,
+            ..Epoch::default()
         };
         Visibility::<fn(&Ray) -> bool>::begin(&strategy, &mut worker, epoch);
         let mut answers = vec![0.0; queries.len()];

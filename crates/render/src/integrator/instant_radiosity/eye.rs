@@ -39,7 +39,7 @@ pub(super) struct Walk {
     panes: u32,
     /// The last scattering event, if its direction could have been found by light sampling.
     last: Option<path::Scattering>,
-    /// Eye samples per steradian around the ray, or per square metre across it, if `parallel`.
+    /// Eye samples (one a pixel) per steradian around the ray, or per square metre across it, if `parallel`.
     density: f32,
     parallel: bool,
     /// Length of the way from the camera to the ray's origin.
@@ -51,8 +51,8 @@ pub(super) struct Walk {
 }
 
 impl Walk {
-    /// A walk that starts with a camera ray; `samples` of a pixel are taken together.
-    pub(super) fn new(camera: &CameraRay, sampler: Sampler, samples: f32) -> Self {
+    /// A walk that starts with a camera ray.
+    pub(super) fn new(camera: &CameraRay, sampler: Sampler) -> Self {
         Self {
             ray: camera.ray,
             throughput: Vec3::ONE,
@@ -61,7 +61,7 @@ impl Walk {
             depth: 0,
             panes: 0,
             last: None,
-            density: camera.pixel_density * samples,
+            density: camera.pixel_density,
             parallel: camera.parallel,
             travelled: 0.0,
             squeezed: 1.0,

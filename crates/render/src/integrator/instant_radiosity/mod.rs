@@ -249,7 +249,7 @@ pub(super) fn render_unit<'a, V: Visibility<Geometry<'a>>>(
         scratch
             .harvest
             .walks
-            .push(Walk::new(&camera, start.sampler, samples as f32));
+            .push(Walk::new(&camera, start.sampler));
     }
     let harvest = &mut scratch.harvest;
     harvest.gather(world, prepared);
