@@ -436,7 +436,14 @@ fn consistent_answers_converge() {
     });
     let wrong = [0, 3, 15, 63, 255].map(|pass| {
         let mut worker = worker(&strategy);
-        Visibility::<Spheres>::begin(&strategy, &mut worker, Epoch { pass, ..Epoch::default() });
+        Visibility::<Spheres>::begin(
+            &strategy,
+            &mut worker,
+            Epoch {
+                pass,
+                ..Epoch::default()
+            },
+        );
         let found = ask_many(&strategy, &world, &mut worker, &eyes, &lights, &all);
         let wrong = found
             .concat()
@@ -466,7 +473,11 @@ fn tiles_do_not_depend_on_history() {
             guarantee,
             ..Default::default()
         });
-        let epoch = |tile| Epoch { pass: 3, tile, ..Epoch::default() };
+        let epoch = |tile| Epoch {
+            pass: 3,
+            tile,
+            ..Epoch::default()
+        };
         let answer = |worker: &mut _, tile, eyes: &[EyeSample]| {
             Visibility::<Spheres>::begin(&strategy, worker, epoch(tile));
             let many = ask_many(&strategy, &world, worker, eyes, &lights, &all);
@@ -498,7 +509,14 @@ fn shared_tables_remember() {
         let mut worker = worker(&strategy);
         let mut before = 0;
         let traced = [0, 1].map(|tile| {
-            Visibility::<Spheres>::begin(&strategy, &mut worker, Epoch { tile, ..Epoch::default() });
+            Visibility::<Spheres>::begin(
+                &strategy,
+                &mut worker,
+                Epoch {
+                    tile,
+                    ..Epoch::default()
+                },
+            );
             let lights = lights[tile as usize];
             ask_many(&strategy, &world, &mut worker, &eyes, lights, &all);
             let now = stats(&strategy, &worker).traced;

@@ -44,8 +44,8 @@ struct Path {
     /// The last scattering event, for weighing what its direction finds against light sampling. `None` at the camera and
     /// after mirrors, which light sampling cannot find.
     last: Option<Scattering>,
-    /// Density of the ray's direction per steradian (per square metre across it, if `parallel`): with the way since, the
-    /// area density of what it hits.
+    /// Density per steradian around the ray (per square metre across it, if `parallel`) of all paths of the picture, one a
+    /// pixel: with the way since, the area density of what it hits.
     direction_density: f32,
     /// The rays come from an orthographic camera and do not spread.
     parallel: bool,
@@ -88,6 +88,8 @@ pub(super) struct Scratch {
     queries: Vec<Query>,
     pending: Vec<Pending>,
     answers: Vec<f32>,
+    /// Paths of the picture, one a pixel.
+    pixels: f32,
 }
 
 /// Renders the samples of a unit into its tile.
@@ -102,7 +104,7 @@ pub(super) fn render_unit<'a, V: Visibility<Geometry<'a>>>(
     tile: &mut FilmTile,
 ) {
     let scratch = &mut worker.path;
-    scratch.paths.clear();
+    scratch.start(view);
     scratch.paths.extend(unit.starts(settings).map(|start| {
         let camera = view.ray(start.point);
         Path {
@@ -153,8 +155,9 @@ pub(super) fn render_unit<'a, V: Visibility<Geometry<'a>>>(
 }
 
 impl Scratch {
-    /// Forgets all paths.
-    pub(super) fn start(&mut self) {
+    /// Forgets all paths, and takes others of a picture seen by `view`.
+    pub(super) fn start(&mut self, view: &View) {
+        self.pixels = view.width() as f32 * view.height() as f32;
         self.paths.clear();
         self.alive.clear();
     }
@@ -180,7 +183,7 @@ impl Scratch {
             depth,
             panes: 0,
             last: Some(last),
-            direction_density: last.pdf,
+            direction_density: last.pdf * self.pixels,
             parallel: false,
             travelled: 0.0,
             squeezed: 1.0,
@@ -238,8 +241,10 @@ fn shade(world: &World, limits: PathLimits, first: bool, scratch: &mut Scratch) 
         hits,
         queries,
         pending,
+        pixels,
         ..
     } = scratch;
+    let pixels = *pixels;
     let mut kept = 0;
     for k in 0..alive.len() {
         world.geometry.prefetch(hits, k);
@@ -250,13 +255,21 @@ fn shade(world: &World, limits: PathLimits, first: bool, scratch: &mut Scratch) 
                 add_environment(world, path, first);
                 false
             }
-            Some(hit) => shade_hit(world, limits, first, path, hit, |query, contribution| {
-                queries.push(query);
-                pending.push(Pending {
-                    path: index,
-                    contribution,
-                });
-            }),
+            Some(hit) => shade_hit(
+                world,
+                limits,
+                first,
+                pixels,
+                path,
+                hit,
+                |query, contribution| {
+                    queries.push(query);
+                    pending.push(Pending {
+                        path: index,
+                        contribution,
+                    });
+                },
+            ),
         };
         if goes_on {
             alive[kept] = index;
@@ -319,6 +332,7 @@ fn shade_hit(
     world: &World,
     limits: PathLimits,
     first: bool,
+    pixels: f32,
     path: &mut Path,
     hit: Hit,
     ask: impl FnOnce(Query, Vec3),
@@ -470,7 +484,7 @@ fn shade_hit(
             path.travelled = distance;
         } else {
             path.travelled = 0.0;
-            path.direction_density = sample.pdf;
+            path.direction_density = sample.pdf * pixels;
             path.parallel = false;
             path.blurred = true;
         }

@@ -175,7 +175,9 @@ impl Quantized {
                 (so_far, so_far)
             }
             (_, Share::Tile) => (now as f32, 1.0),
-            (_, Share::Thread | Share::All) => (self.settings.samples_per_pixel.max(now) as f32, 1.0),
+            (_, Share::Thread | Share::All) => {
+                (self.settings.samples_per_pixel.max(now) as f32, 1.0)
+            }
         }
     }
 

@@ -7,6 +7,7 @@
 
 use super::eye::Harvest;
 use crate::bsdf::Bsdf;
+use crate::camera::View;
 use crate::geometry::{Geometry, Surface, is_pane};
 use crate::integrator::{PathLimits, World, path};
 use crate::sampling::Sampler;
@@ -33,6 +34,7 @@ pub(super) struct Start {
 /// Adds what the bound `clamp` took away to `radiance`, by camera sample; returns the rays traced.
 pub(super) fn compensate<'a, V: Visibility<Geometry<'a>>>(
     world: &World<'a>,
+    view: &View,
     visibility: &V,
     max_depth: u32,
     clamp: f32,
@@ -44,7 +46,7 @@ pub(super) fn compensate<'a, V: Visibility<Geometry<'a>>>(
     let geometry = world.geometry;
     let mut rays = 0;
     let (mut queries, mut pending) = (Vec::new(), Vec::new());
-    scratch.start();
+    scratch.start(view);
     for start in &harvest.starts {
         let eye = &harvest.eyes[start.eye as usize];
         let mut sampler = start.sampler;

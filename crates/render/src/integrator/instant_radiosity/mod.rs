@@ -310,6 +310,7 @@ pub(super) fn render_unit<'a, V: Visibility<Geometry<'a>>>(
     if prepared.compensates() {
         worker.rays.secondary += gather::compensate(
             world,
+            view,
             visibility,
             prepared.settings.max_depth,
             prepared.clamp,

@@ -334,7 +334,7 @@ fn pilots(
             [u32::MAX, 0],
             i as u32,
         );
-        Walk::new(&view.ray(at), sampler, 1.0)
+        Walk::new(&view.ray(at), sampler)
     }));
     harvest.gather(world, prepared);
     // Judged as if Lambert with the share of light that they pass on: good enough to tell useful lights from useless ones.
