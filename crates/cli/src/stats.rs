@@ -280,7 +280,7 @@ mod tests {
         assert_eq!(keys(&json["rays"]), "fill primary secondary shadow");
         assert_eq!(
             keys(&json["visibility"]),
-            "answered bytes class queries refined strategy traced"
+            "answered bytes class overwritten queries refined strategy traced"
         );
         assert_eq!(keys(&json["memory"]), "limit_bytes peak_bytes");
     }

@@ -50,6 +50,10 @@ use key::{Cell, Grids, LightKey, nearest_power_of_two};
 use std::sync::OnceLock;
 use table::{BlockTable, WordTable};
 
+/// Patches that a light with extent is cut into at least. Where an eye sample asks about one point of a lamp, Eqs. 7 and 9 make
+/// the whole lamp one patch, and each patch of a penumbra black or white.
+const LEAST_PATCHES: f32 = 16.0;
+
 /// Answers from quantized ends. See the [module's description](self).
 #[derive(Debug)]
 pub struct Quantized {
@@ -193,11 +197,11 @@ impl Quantized {
             LightEnd::Surface(end) => {
                 let resolution = self
                     .grids
-                    .resolution(known(end.density * connections)? * passes);
+                    .resolution(known(end.density * connections.max(LEAST_PATCHES))? * passes);
                 self.surface_key(end, self.grids.quantize_light(resolution))
             }
             LightEnd::SolidAngle { direction, density } => {
-                let density = known(density * connections)? * passes;
+                let density = known(density * connections.max(LEAST_PATCHES))? * passes;
                 Some(self.grids.solid_angle(*direction, density))
             }
         }
