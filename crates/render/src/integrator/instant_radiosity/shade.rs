@@ -5,9 +5,6 @@
 //! operations and add up in a fixed order, so that every machine computes the same bytes.
 //!
 //! An eye sample is either Lambert, or has the closed form of [`Broad`], or (layered materials) asks its [`Bsdf`] light by light.
-// Lanes are counted: several arrays are walked together, and the compiler sees 16 every time.
-#![allow(clippy::needless_range_loop)]
-
 // Loops that index several arrays alike are what becomes vector code.
 #![allow(clippy::needless_range_loop)]
 
