@@ -407,6 +407,12 @@ impl Harvest {
             Some(target) => Ray::between(origin, target),
             None => Ray::new(origin, light.wi),
         };
+        // One sample stands for a whole lamp. Shared by a patch of eyes, its answer would turn penumbras into blotches; and next
+        // to the questions about shared lights, rays for these are few. So each is a question of its own.
+        let end = Endpoint {
+            density: f32::INFINITY,
+            ..end
+        };
         self.queries.push(Query {
             connections,
             ..Query::new(end, light.end, ray)
