@@ -299,3 +299,33 @@ fn a_full_disk_keeps_the_old_file() {
     assert_eq!(run.code, Some(1), "{}", run.stderr);
     run.has_one_error_line("statistics on /dev/full");
 }
+
+/// Remembered answers: class and counters are told, repeatable where each tile remembers for itself, exact where no error is
+/// allowed.
+#[test]
+fn quantized_visibility_tells_what_it_saved() {
+    let dir = cornell();
+    let base =
+        "render c.glb --size 64x48 --samples 4 --seed 3 --integrator instant-radiosity --vpls 64";
+    dir.must(&format!("{base} -o exact.exr"));
+    dir.must(&format!(
+        "{base} -o zero.exr --visibility quantized:error=0"
+    ));
+    assert_eq!(dir.read("zero.exr"), dir.read("exact.exr"));
+    for (guarantee, class) in [
+        ("bounded", "bounded"),
+        ("unbiased", "unbiased"),
+        ("consistent", "consistent"),
+    ] {
+        let options = format!("{base} --visibility quantized:share=tile --guarantee {guarantee}");
+        dir.must(&format!("{options} -o one.exr --threads 1 --stats s.json"));
+        dir.must(&format!("{options} -o two.exr --threads 2"));
+        assert_eq!(dir.read("one.exr"), dir.read("two.exr"), "{guarantee}");
+        let visibility = &dir.json("s.json")["visibility"];
+        assert_eq!(visibility["strategy"], "quantized");
+        assert_eq!(visibility["class"], class);
+        let number = |name: &str| visibility[name].as_f64().unwrap();
+        assert_eq!(number("queries"), number("answered") + number("traced"));
+        assert!(number("traced") * 3.0 < number("queries"), "{visibility}");
+    }
+}

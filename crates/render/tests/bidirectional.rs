@@ -147,7 +147,9 @@ fn every_strategy_alone_finds_all_light_of_its_path_length() {
         // Light sampling is the reference: the path tracer has it too, and `equals_path_tracing` tests it.
         let reference = setup(only(events, 1, events + 1), 24, 900);
         for light in (0..=events + 1).filter(|&light| light != 1) {
-            let found = setup(only(events, light, events + 2 - light), 24, 0);
+            // Hits by chance are rare: with few samples a pixel's mean is far from normal, and the test wrong.
+            let samples = if light == 0 { 192 } else { 24 };
+            let found = setup(only(events, light, events + 2 - light), samples, 0);
             let name = format!("strategy-{light}-{}", events + 2 - light);
             same(&scene, &found, &reference, &name);
         }

@@ -258,6 +258,13 @@ impl RenderArgs {
                     "use --samples without --time-limit and --noise",
                 ));
             }
+            if matches!(self.visibility, Strategy::Quantized(_)) {
+                return Err(CliError::input(
+                    "parts would not add up to the picture of one machine: remembered answers depend on what was asked before",
+                    "--shard",
+                    "use --visibility exact or occluder",
+                ));
+            }
             if self.output.len() != 1 {
                 return Err(CliError::input(
                     "a shard writes one part",
