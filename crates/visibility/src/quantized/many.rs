@@ -128,9 +128,13 @@ pub(super) fn answer<T: Tracer>(
         // Lights of one error reach are answered together; most blocks have one.
         let mut left = u16::MAX >> (BLOCK - lights.len());
         while left != 0 {
-            let extent = Extent::of(strategy, &lights[left.trailing_zeros() as usize]);
+            let extent = Extent::of(
+                strategy,
+                &lights[left.trailing_zeros() as usize],
+                eye_passes,
+            );
             let alike = bits(left)
-                .filter(|&l| Extent::of(strategy, &lights[l]) == extent)
+                .filter(|&l| Extent::of(strategy, &lights[l], eye_passes) == extent)
                 .fold(0u16, |mask, l| mask | 1 << l);
             left &= !alike;
             let group = Group::new(strategy, lights, alike, light_passes, decisions.salt);
@@ -160,7 +164,7 @@ struct Extent {
 }
 
 impl Extent {
-    fn of(strategy: &Quantized, light: &SharedLight) -> Self {
+    fn of(strategy: &Quantized, light: &SharedLight, eye_passes: f32) -> Self {
         let error = strategy.error(&light.end);
         let picked = match light.end {
             LightEnd::Point(_) | LightEnd::Direction(_) => {
@@ -170,7 +174,7 @@ impl Extent {
         };
         Self {
             error: error / picked,
-            levels: strategy.settings.levels(error),
+            levels: strategy.settings.levels(error, eye_passes),
         }
     }
 }

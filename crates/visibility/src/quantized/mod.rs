@@ -222,7 +222,7 @@ impl Quantized {
         let (eye_passes, light_passes) = self.passes(epoch);
         let density = known(query.eye.density)? * eye_passes;
         let orientation = self.grids.orientation(query.eye.normal)?;
-        let levels = self.settings.levels(error);
+        let levels = self.settings.levels(error, eye_passes);
         if let (Pairing::Both, LightEnd::Surface(light)) = (self.settings.pairing, &query.light) {
             let pair = density * known(light.density * query.connections)? / (error * error);
             let resolution = self.grids.pair_resolution(pair);

@@ -222,12 +222,15 @@ impl QuantizedSettings {
         }
     }
 
-    /// Levels that questions with this error reach may be refined to (`C_MSR`), the first included.
-    pub(super) fn levels(&self, error: f32) -> u32 {
+    /// Levels that questions with this error reach may be refined to (`C_MSR`), the first included; `samples` of each pixel
+    /// remember together.
+    pub(super) fn levels(&self, error: f32, samples: f32) -> u32 {
         match self.refine {
             Refine::Levels(levels) => levels,
             Refine::Auto => {
-                let inside_a_pixel = error * error <= self.samples_per_pixel as f32;
+                // A consistent job goes on: its error must not jump where patches become smaller than pixels.
+                let inside_a_pixel =
+                    error * error <= samples && self.guarantee != Guarantee::Consistent;
                 if inside_a_pixel || self.pairing == Pairing::Both {
                     1
                 } else {
