@@ -24,7 +24,7 @@ use occlude_render::integrator::{
 use occlude_render::sampling::SamplerKind;
 use occlude_render::work::{Work, shard_samples};
 use occlude_scene::{Pose, Scene};
-use occlude_visibility::quantized::{BoundingSphere, Quantized};
+use occlude_visibility::quantized::{BoundingSphere, Quantized, Share};
 use occlude_visibility::{Exact, Occluder, Visibility};
 use setup::{build, load, view};
 use std::path::Path;
@@ -107,11 +107,20 @@ fn quantized(
     };
     let guarantee = args.guarantee.unwrap_or(GuaranteeName::Bounded);
     let settings = options.settings(asks, guarantee, args.known_samples(), context.common.seed);
+    let copies = match settings.share {
+        Share::All => 1,
+        Share::Tile | Share::Thread => rayon::current_num_threads() as u64,
+    };
+    let kinds = match settings.share {
+        Share::Tile => 1,
+        Share::Thread | Share::All => 1 + u64::from(asks == Asks::Many),
+    };
+    let bytes = (settings.table_bytes as u64).saturating_mul(copies * kinds);
     if let Some(limit) = context.common.memory
-        && settings.table_bytes as u64 > limit
+        && bytes > limit
     {
         return Err(CliError::input(
-            format_args!("the table alone takes {} bytes", settings.table_bytes),
+            format_args!("the tables alone take {bytes} bytes"),
             "--visibility",
             "raise --memory or add :table=SIZE",
         ));

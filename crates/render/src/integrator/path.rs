@@ -11,6 +11,7 @@ use crate::bsdf::Bsdf;
 use crate::camera::View;
 use crate::film::{Features, FilmTile};
 use crate::geometry::{Geometry, Surface, is_pane};
+use crate::light::Lights;
 use crate::sampling::Sampler;
 use glam::{Vec2, Vec3};
 use occlude_visibility::{Endpoint, Hit, Query, Ray, Visibility, offset_along_normal};
@@ -298,6 +299,25 @@ fn collect(geometry: &Geometry, scratch: &mut Scratch) {
     }
 }
 
+/// Weight of an emitter that a direction has hit at `position`, against light sampling from the last scattering event.
+pub(super) fn weight_of_hit(
+    lights: &Lights,
+    last: Option<Scattering>,
+    hit: Hit,
+    position: Vec3,
+) -> f32 {
+    last.map_or(1.0, |last| {
+        let pdf = lights.pdf_surface(
+            last.position,
+            last.light_normal,
+            hit.instance,
+            hit.primitive,
+            position,
+        );
+        power_heuristic(last.pdf, pdf)
+    })
+}
+
 /// Weight of a technique with density `a` against another with density `b` (power heuristic, beta 2).
 pub(super) fn power_heuristic(a: f32, b: f32) -> f32 {
     if a.is_infinite() {
@@ -348,16 +368,7 @@ fn shade_hit(
 
     let emission = surface.emission(geometry);
     if emission != Vec3::ZERO {
-        let weight = path.last.map_or(1.0, |last| {
-            let pdf = world.lights.pdf_surface(
-                last.position,
-                last.light_normal,
-                hit.instance,
-                hit.primitive,
-                surface.position,
-            );
-            power_heuristic(last.pdf, pdf)
-        });
+        let weight = weight_of_hit(world.lights, path.last, hit, surface.position);
         path.radiance += path.throughput * emission * weight;
     }
     if surface.material().unlit {

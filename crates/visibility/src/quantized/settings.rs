@@ -106,13 +106,14 @@ pub struct QuantizedSettings {
     pub slab: f32,
     /// Ratio of neighbouring resolutions (`C_R`), above 1 and up to 4.
     pub resolution_step: f32,
-    /// Bytes of the table (of each worker's, unless shared by all): at least 64. Rounded down to a power of two.
+    /// Bytes of each table (of each worker's, unless shared by all): at least 64. Rounded down to a power of two. Single
+    /// questions have one, and questions about many lights another, unless tiles remember for themselves.
     pub table_bytes: usize,
     /// Refinement at shadow edges.
     pub refine: Refine,
     /// Who remembers together.
     pub share: Share,
-    /// The hash of keys.
+    /// The hash of keys of single questions; those about many lights need no hash a question.
     pub digest: Digest,
     /// What answers may be trusted for.
     pub guarantee: Guarantee,

@@ -177,16 +177,7 @@ impl Harvest {
         }
         let emission = surface.emission(geometry);
         if emission != Vec3::ZERO {
-            let weight = walk.last.map_or(1.0, |last| {
-                let pdf = world.lights.pdf_surface(
-                    last.position,
-                    last.light_normal,
-                    hit.instance,
-                    hit.primitive,
-                    surface.position,
-                );
-                path::power_heuristic(last.pdf, pdf)
-            });
+            let weight = path::weight_of_hit(world.lights, walk.last, hit, surface.position);
             walk.radiance += walk.throughput * emission * weight;
         }
         if surface.material().unlit {
