@@ -24,6 +24,7 @@
 //! (a camera's pinhole) or no normal are traced exactly.
 
 mod digest;
+mod inspect;
 mod key;
 mod many;
 mod settings;
@@ -34,6 +35,7 @@ mod table;
 mod tests;
 
 pub use digest::Digest;
+pub use inspect::PatchPair;
 pub use key::BoundingSphere;
 pub use settings::{
     ErrorReach, Guarantee, Pairing, QuantizedError, QuantizedSettings, Refine, Share,

@@ -340,3 +340,37 @@ fn clusters_answer_with_their_mean_visibility() {
     }
     assert!(mixed > 4, "{mixed}");
 }
+
+/// What is shown of a question's patches: neighbours share them, refinement splits them, and equal digests are equal pairs.
+#[test]
+fn patches_can_be_looked_at() {
+    let strategy = Quantized::new(
+        QuantizedSettings::default(),
+        BoundingSphere {
+            centre: Vec3::ZERO,
+            radius: 2.0,
+        },
+    )
+    .unwrap();
+    let light = Vec3::new(0.0, 1.0, 0.0);
+    let distinct = |level: u32| {
+        let pairs: HashSet<_> = (0..64 * 64)
+            .map(|i| {
+                let eye = Vec3::new((i % 64) as f32, -32.0, (i / 64) as f32) / 32.0 - Vec3::X;
+                let end = Endpoint::new(eye, Vec3::Y, 1024.0);
+                let query = Query::new(end, LightEnd::Point(light), Ray::between(eye, light));
+                strategy.patches(&query, Epoch::default(), level).unwrap()
+            })
+            .collect();
+        let digests: HashSet<u64> = pairs.iter().map(|pair| pair.digest).collect();
+        assert_eq!(digests.len(), pairs.len());
+        pairs.len()
+    };
+    // 4096 samples, C_E = 4: about 16 of them a patch, then about 4.
+    let (coarse, fine) = (distinct(0), distinct(1));
+    assert!((150..500).contains(&coarse), "{coarse}");
+    assert!((600..2000).contains(&fine), "{fine}");
+    let end = Endpoint::new(Vec3::ZERO, Vec3::Y, f32::INFINITY);
+    let query = Query::new(end, LightEnd::Point(light), Ray::between(Vec3::ZERO, light));
+    assert_eq!(strategy.patches(&query, Epoch::default(), 0), None);
+}
