@@ -2,7 +2,7 @@
 use glam::{Vec3, vec3};
 use occlude_visibility::quantized::{BoundingSphere, Quantized, QuantizedSettings};
 use occlude_visibility::{
-    BlockAnswers, Endpoint, EyeSample, LightEnd, ManyLights, Ray, Session, SharedLight, order,
+    Correction, Endpoint, EyeSample, LightEnd, ManyLights, Ray, Session, SharedLight, order,
 };
 
 const SPHERES: [(Vec3, f32); 2] = [(vec3(0.0, 1.0, 0.0), 1.0), (vec3(2.0, 0.5, 1.0), 0.5)];
@@ -14,9 +14,9 @@ impl ManyLights for Floor {
     fn wanted(&mut self, block: usize, wanted: &mut [u16]) {
         wanted.fill(if block < 6 { 0xffff } else { 0xf }); // 100 lamps: 6 blocks of 16, and 4
     }
-    fn take(&mut self, _: usize, _: &[u16], answers: &[BlockAnswers]) {
-        for (sum, answers) in self.0.iter_mut().zip(answers) {
-            *sum += answers.iter().sum::<f32>();
+    fn take(&mut self, _: usize, visible: &[u16], _: &[Correction]) {
+        for (sum, visible) in self.0.iter_mut().zip(visible) {
+            *sum += visible.count_ones() as f32;
         }
     }
 }

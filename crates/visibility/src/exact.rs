@@ -57,11 +57,11 @@ impl<T: Tracer> Visibility<T> for Exact {
         asker: &mut dyn ManyLights,
     ) {
         let mut wanted = vec![0u16; eyes.len()];
-        let mut answers = vec![[0.0; BLOCK]; eyes.len()];
+        let mut visible = vec![0u16; eyes.len()];
         for (block, lights) in lights.chunks(BLOCK).enumerate() {
             wanted.fill(0);
             asker.wanted(block, &mut wanted);
-            answers.fill([0.0; BLOCK]);
+            visible.fill(0);
             for (l, light) in lights.iter().enumerate() {
                 worker.rays.clear();
                 worker.askers.clear();
@@ -75,12 +75,12 @@ impl<T: Tracer> Visibility<T> for Exact {
                 worker.occluded.resize(worker.rays.len(), false);
                 tracer.occluded_batch(&worker.rays, &mut worker.occluded);
                 for (&e, &occluded) in worker.askers.iter().zip(&worker.occluded) {
-                    answers[e as usize][l] = if occluded { 0.0 } else { 1.0 };
+                    visible[e as usize] |= u16::from(!occluded) << l;
                 }
                 worker.stats.queries += worker.rays.len() as u64;
                 worker.stats.traced += worker.rays.len() as u64;
             }
-            asker.take(block, &wanted, &answers);
+            asker.take(block, &visible, &[]);
         }
     }
 

@@ -10,8 +10,16 @@ use glam::Vec3;
 /// Lights that are answered together: the bits of a `u16`.
 pub const BLOCK: usize = 16;
 
-/// Answers of one eye about one block of lights.
-pub type BlockAnswers = [f32; BLOCK];
+/// What to add to an answer that has been given as a bit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Correction {
+    /// Number of the eye.
+    pub eye: u32,
+    /// Number of the light within its block, below [`BLOCK`].
+    pub light: u32,
+    /// To be added to the visibility that the bit says, 0 or 1; the sum may lie outside `[0, 1]`.
+    pub amount: f32,
+}
 
 /// An eye that asks about many lights.
 #[repr(C)]
@@ -65,9 +73,9 @@ pub trait ManyLights {
     /// set if eye `e` asks about the block's light `l`. Bits beyond the last light must be 0. `wanted` comes zeroed.
     fn wanted(&mut self, block: usize, wanted: &mut [u16]);
 
-    /// Takes the answers about block `block`: `answers[e][l]` estimates the visibility of light `l` from eye `e`, 0 where it
-    /// was not wanted.
-    fn take(&mut self, block: usize, wanted: &[u16], answers: &[BlockAnswers]);
+    /// Takes the answers about block `block`: bit `l` of `visible[e]` is set if light `l` is seen from eye `e`, and never where
+    /// it was not wanted. Strategies that estimate ([`Class::Unbiased`](crate::Class::Unbiased)) add `corrections` to some of the answers.
+    fn take(&mut self, block: usize, visible: &[u16], corrections: &[Correction]);
 }
 
 /// The numbers of the bits that are set.

@@ -1,7 +1,7 @@
 //! Visibility questions and the strategies that answer them.
 
 use crate::many::bits;
-use crate::{BLOCK, EyeSample, ManyLights, Ray, SharedLight, Tracer, VisibilityStats};
+use crate::{BLOCK, Correction, EyeSample, ManyLights, Ray, SharedLight, Tracer, VisibilityStats};
 use glam::Vec3;
 
 /// The eye end of a question: a surface point that wants to know who sees it.
@@ -176,7 +176,8 @@ pub trait Visibility<T: Tracer>: Sync {
         asker: &mut dyn ManyLights,
     ) {
         let mut wanted = vec![0u16; eyes.len()];
-        let mut answers = vec![[0.0; BLOCK]; eyes.len()];
+        let mut visible = vec![0u16; eyes.len()];
+        let mut corrections = Vec::new();
         let (mut queries, mut flat) = (Vec::new(), Vec::new());
         for (block, lights) in lights.chunks(BLOCK).enumerate() {
             wanted.fill(0);
@@ -189,13 +190,22 @@ pub trait Visibility<T: Tracer>: Sync {
             flat.resize(queries.len(), 0.0);
             self.answer(tracer, worker, &queries, &mut flat);
             let mut flat = flat.iter();
-            for (answers, &mask) in answers.iter_mut().zip(&wanted) {
-                *answers = [0.0; BLOCK];
-                for (l, answer) in bits(mask).zip(&mut flat) {
-                    answers[l] = *answer;
+            corrections.clear();
+            for (eye, (visible, &mask)) in visible.iter_mut().zip(&wanted).enumerate() {
+                *visible = 0;
+                for (light, &answer) in bits(mask).zip(&mut flat) {
+                    if answer == 1.0 {
+                        *visible |= 1 << light;
+                    } else if answer != 0.0 {
+                        corrections.push(Correction {
+                            eye: eye as u32,
+                            light: light as u32,
+                            amount: answer,
+                        });
+                    }
                 }
             }
-            asker.take(block, &wanted, &answers);
+            asker.take(block, &visible, &corrections);
         }
     }
 

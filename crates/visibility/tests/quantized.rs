@@ -9,7 +9,7 @@ use occlude_visibility::quantized::{
     QuantizedSettings, Refine, Share,
 };
 use occlude_visibility::{
-    BLOCK, BlockAnswers, Class, Endpoint, Epoch, Exact, EyeSample, LightEnd, ManyLights, Query,
+    BLOCK, Class, Correction, Endpoint, Epoch, Exact, EyeSample, LightEnd, ManyLights, Query,
     SharedLight, Tracer, Visibility, VisibilityStats, order,
 };
 
@@ -93,15 +93,23 @@ impl ManyLights for Everything<'_> {
         }
     }
 
-    fn take(&mut self, block: usize, wanted: &[u16], answers: &[BlockAnswers]) {
-        for (eye, (answers, wanted)) in answers.iter().zip(wanted).enumerate() {
-            for (l, &answer) in answers.iter().enumerate() {
-                if wanted >> l & 1 != 0 {
-                    self.answers[eye][block * BLOCK + l] = answer;
+    fn take(&mut self, block: usize, visible: &[u16], corrections: &[Correction]) {
+        let wants = self.wants;
+        for (eye, visible) in visible.iter().enumerate() {
+            for l in 0..BLOCK {
+                let seen = visible >> l & 1 != 0;
+                let light = block * BLOCK + l;
+                if light < self.lights && wants(eye, light) {
+                    self.answers[eye][light] = if seen { 1.0 } else { 0.0 };
                 } else {
-                    assert_eq!(answer, 0.0);
+                    assert!(!seen);
                 }
             }
+        }
+        for correction in corrections {
+            let light = block * BLOCK + correction.light as usize;
+            assert!(wants(correction.eye as usize, light));
+            self.answers[correction.eye as usize][light] += correction.amount;
         }
     }
 }

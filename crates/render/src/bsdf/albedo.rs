@@ -211,8 +211,8 @@ pub(crate) struct Polynomials {
 }
 
 impl Polynomials {
-    /// `[A, B]` at the root of a cosine.
-    #[inline(always)]
+    /// `[A, B]` at the root of a cosine: the plain form of what vector loops compute.
+    #[cfg(test)]
     pub(crate) fn at(&self, root: f32) -> [f32; 2] {
         [&self.a, &self.b].map(|c| c.iter().rev().fold(0.0, |sum, c| sum * root + c))
     }

@@ -26,6 +26,7 @@ mod scatter;
 mod setup;
 mod split;
 
+pub(crate) use albedo::COEFFICIENTS;
 use albedo::Row;
 use glam::{Vec2, Vec3};
 use layers::Layers;

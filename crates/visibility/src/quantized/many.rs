@@ -18,7 +18,7 @@ use super::{Decisions, Guarantee, Quantized, QuantizedWorker, known, mix};
 use crate::many::bits;
 use crate::order::segments;
 use crate::{
-    BLOCK, BlockAnswers, EyeSample, LightEnd, ManyLights, Ray, SharedLight, Tracer, VisibilityStats,
+    BLOCK, Correction, EyeSample, LightEnd, ManyLights, Ray, SharedLight, Tracer, VisibilityStats,
 };
 
 /// Where memory has no reason for doubt, one answer in `2^CHECKED` is checked by a ray ([`Guarantee::Unbiased`]).
@@ -34,7 +34,9 @@ const NONE: u32 = u32::MAX;
 pub(super) struct Scratch {
     numbering: Numbering,
     wanted: Vec<u16>,
-    answers: Vec<BlockAnswers>,
+    /// Answers to what was wanted.
+    visible: Vec<u16>,
+    corrections: Vec<Correction>,
     /// The cells of the eyes, for each error reach that lights have asked for.
     reaches: Vec<Reach>,
     rays: Vec<Ray>,
@@ -85,7 +87,7 @@ struct Claim {
     eye: u32,
     /// The cell that the answer stands for, or [`NONE`].
     cell: u32,
-    /// The answer that a check corrects, and 1 over the probability of checking; 0 for a claim that is no check.
+    /// Of a check (`V' = Vc + (V - Vc) / p`): the answer `Vc` that it corrects, and `1 / p`. The weight 1 makes the ray the answer.
     cached: bool,
     weight: f32,
 }
@@ -115,11 +117,12 @@ pub(super) fn answer<T: Tracer>(
         reach.extent = None;
     }
     scratch.wanted.resize(count, 0);
-    scratch.answers.resize(count, [0.0; BLOCK]);
+    scratch.visible.resize(count, 0);
     for (block, lights) in lights.chunks(BLOCK).enumerate() {
         scratch.wanted[..count].fill(0);
         asker.wanted(block, &mut scratch.wanted[..count]);
-        scratch.answers[..count].fill([0.0; BLOCK]);
+        scratch.visible[..count].fill(0);
+        scratch.corrections.clear();
         stats.queries += scratch.wanted[..count]
             .iter()
             .map(|wanted| u64::from(wanted.count_ones()))
@@ -151,7 +154,7 @@ pub(super) fn answer<T: Tracer>(
             }
             stats.answered += asked - (stats.traced - traced);
         }
-        asker.take(block, &scratch.wanted[..count], &scratch.answers[..count]);
+        asker.take(block, &scratch.visible[..count], &scratch.corrections);
     }
 }
 
@@ -412,7 +415,26 @@ impl Scratch {
             tracer.occluded_batch(&self.rays, &mut self.occluded);
             stats.traced += self.rays.len() as u64;
             for (claim, &occluded) in claims.iter().zip(&self.occluded) {
-                self.answers[claim.eye as usize][l] = claim.answer(!occluded);
+                if claim.weight == 1.0 {
+                    let bit = 1 << l;
+                    let visible = &mut self.visible[claim.eye as usize];
+                    *visible = if occluded {
+                        *visible & !bit
+                    } else {
+                        *visible | bit
+                    };
+                } else if claim.cached == occluded {
+                    let amount = if occluded {
+                        -claim.weight
+                    } else {
+                        claim.weight
+                    };
+                    self.corrections.push(Correction {
+                        eye: claim.eye,
+                        light: l as u32,
+                        amount,
+                    });
+                }
                 if let (Some((level, group)), false, true) =
                     (&mut clusters, occluded, claim.cell != NONE)
                 {
@@ -471,7 +493,7 @@ impl Scratch {
                     lights: disagree,
                 });
             }
-            add_bits(&mut self.answers[active.eye as usize], settled & visible);
+            self.visible[active.eye as usize] |= settled & visible;
             if unbiased {
                 let halvings = if depth == 0 {
                     CHECKED
@@ -521,19 +543,6 @@ impl Claim {
             cached: false,
             weight: 1.0,
         }
-    }
-
-    /// `V' = Vc + (V - Vc) / p` for a check, `V` for a claim (`p` is 1 there).
-    fn answer(&self, visible: bool) -> f32 {
-        let [cached, exact] = [self.cached, visible].map(|v| if v { 1.0 } else { 0.0 });
-        cached + (exact - cached) * self.weight
-    }
-}
-
-/// Adds 1 where a bit is set.
-fn add_bits(answers: &mut BlockAnswers, mask: u16) {
-    for (l, answer) in answers.iter_mut().enumerate() {
-        *answer += if mask & 1 << l != 0 { 1.0 } else { 0.0 };
     }
 }
 

@@ -32,8 +32,8 @@ use crate::light::{DeltaLight, Lights};
 use crate::sampling::Sampler;
 use eye::{Harvest, Walk};
 use glam::{Vec2, Vec3};
-use occlude_visibility::{EyeSample, LightEnd, SharedLight, Visibility, order};
-use shade::{Asker, Eye, Kind, LightList};
+use occlude_visibility::{LightEnd, SharedLight, Visibility, order};
+use shade::{Asker, Kind, LightList, Packs};
 use std::sync::{Mutex, PoisonError};
 
 /// Width and height of a tile, pixels.
@@ -211,8 +211,7 @@ pub(super) struct Scratch {
     places: Vec<[u32; 2]>,
     radiance: Vec<Vec3>,
     answers: Vec<f32>,
-    eyes: Vec<Eye>,
-    ends: Vec<EyeSample>,
+    packs: Packs,
 }
 
 /// Renders the samples of a unit into its tile.
@@ -260,44 +259,29 @@ pub(super) fn render_unit<'a, V: Visibility<Geometry<'a>>>(
     scratch.radiance.clear();
     scratch.radiance.resize(harvest.walks.len(), Vec3::ZERO);
     let mut clamped = 0.0;
-    let mut shine = |lights: &LightList, eyes: &[Eye], ends: &[EyeSample]| {
+    let packs = &mut scratch.packs;
+    packs.gather(&harvest.eyes, &harvest.scatterers);
+    for lights in prepared.direct.iter().chain([&prepared.vpls]) {
         let mut asker = Asker {
             lights,
-            eyes,
-            ends,
+            eyes: &harvest.eyes,
+            ends: &harvest.ends,
             scatterers: &harvest.scatterers,
             clamp: prepared.clamp,
             panes: world.geometry.has_panes().then_some(world.geometry),
-            radiance: &mut scratch.radiance,
+            packs,
             clamped: 0.0,
         };
         visibility.answer_many(
             world.geometry,
             &mut worker.visibility,
-            ends,
+            &harvest.ends,
             &lights.shared,
             &mut asker,
         );
         clamped += asker.clamped;
-    };
-    for lights in &prepared.direct {
-        shine(lights, &harvest.eyes, &harvest.ends);
     }
-    if !prepared.vpls.is_empty() {
-        if harvest.eyes.iter().all(|eye| eye.events_left >= 1.0) {
-            shine(&prepared.vpls, &harvest.eyes, &harvest.ends);
-        } else {
-            scratch.eyes.clear();
-            scratch.ends.clear();
-            for (eye, end) in harvest.eyes.iter().zip(&harvest.ends) {
-                if eye.events_left >= 1.0 {
-                    scratch.eyes.push(*eye);
-                    scratch.ends.push(*end);
-                }
-            }
-            shine(&prepared.vpls, &scratch.eyes, &scratch.ends);
-        }
-    }
+    packs.settle(&harvest.eyes, &mut scratch.radiance);
     scratch.answers.clear();
     scratch.answers.resize(harvest.queries.len(), 0.0);
     visibility.answer(

@@ -1,10 +1,13 @@
-//! The loops over blocks against light by light in plain form.
+//! The loops over packs against eye by eye and light by light in plain form.
 
+use super::kernels::{take_by_kind, wanted_by_kind};
+use super::wide::Plain;
 use super::*;
-use crate::bsdf::BsdfParameters;
+use crate::bsdf::{Bsdf, BsdfParameters};
 use crate::sampling::{Sampler, SamplerKind, warp};
-use glam::Vec2;
+use glam::{Mat3, Vec2};
 use occlude_visibility::{Endpoint, LightEnd};
+use std::f32::consts::FRAC_1_PI;
 
 fn numbers(seed: u64) -> impl FnMut() -> [f32; 4] {
     let mut sampler = Sampler::new(SamplerKind::Independent, seed, [0, 0], 0);
@@ -126,8 +129,28 @@ fn eyes(parameters: &BsdfParameters, next: &mut impl FnMut() -> [f32; 4]) -> Sce
     scene
 }
 
+/// Asks about a list with everything visible: what each eye gets, which lights were wanted by block and eye, and what the bound took.
 fn shine(list: &LightList, scene: &Scene, clamp: f32) -> (Vec<Vec3>, Vec<Vec<u16>>, f64) {
-    let mut radiance = vec![Vec3::ZERO; scene.eyes.len()];
+    ask(list, scene, clamp, |asker| {
+        let mut masks = Vec::new();
+        for block in 0..list.len().div_ceil(BLOCK) {
+            let mut wanted = vec![0; scene.eyes.len()];
+            asker.wanted(block, &mut wanted);
+            asker.take(block, &wanted, &[]);
+            masks.push(wanted);
+        }
+        masks
+    })
+}
+
+fn ask<R>(
+    list: &LightList,
+    scene: &Scene,
+    clamp: f32,
+    f: impl FnOnce(&mut Asker) -> R,
+) -> (Vec<Vec3>, R, f64) {
+    let mut packs = Packs::default();
+    packs.gather(&scene.eyes, &scene.scatterers);
     let mut asker = Asker {
         lights: list,
         eyes: &scene.eyes,
@@ -135,20 +158,14 @@ fn shine(list: &LightList, scene: &Scene, clamp: f32) -> (Vec<Vec3>, Vec<Vec<u16
         scatterers: &scene.scatterers,
         clamp,
         panes: None,
-        radiance: &mut radiance,
+        packs: &mut packs,
         clamped: 0.0,
     };
-    let mut masks = Vec::new();
-    for block in 0..list.len().div_ceil(BLOCK) {
-        let mut wanted = vec![0; scene.eyes.len()];
-        asker.wanted(block, &mut wanted);
-        let seen = |mask: u16| std::array::from_fn(|l| f32::from(mask >> l & 1));
-        let answers: Vec<BlockAnswers> = wanted.iter().map(|&mask| seen(mask)).collect();
-        asker.take(block, &wanted, &answers);
-        masks.push(wanted);
-    }
+    let result = f(&mut asker);
     let clamped = asker.clamped;
-    (radiance, masks, clamped)
+    let mut radiance = vec![Vec3::ZERO; scene.eyes.len()];
+    packs.settle(&scene.eyes, &mut radiance);
+    (radiance, result, clamped)
 }
 
 #[test]
@@ -243,25 +260,46 @@ fn instruction_sets_agree_to_the_bit() {
     let (list, _) = lights(Kind::Patch, 32, &mut next);
     let scene = eyes(&parameters, &mut next);
     let (best, ..) = shine(&list, &scene, 0.2);
-    let mut radiance = vec![Vec3::ZERO; scene.eyes.len()];
-    let mut asker = Asker {
-        lights: &list,
-        eyes: &scene.eyes,
-        ends: &scene.ends,
-        scatterers: &scene.scatterers,
-        clamp: 0.2,
-        panes: None,
-        radiance: &mut radiance,
-        clamped: 0.0,
+    let (plain, ..) = ask(&list, &scene, 0.2, |asker| {
+        for block in 0..2 {
+            let mut masks = vec![0; scene.eyes.len()];
+            wanted_by_kind::<Plain>(asker, block, &mut masks);
+            take_by_kind::<Plain>(asker, block, &masks, &[]);
+        }
+    });
+    assert_eq!(best, plain);
+}
+
+/// A correction adds a light's whole contribution times an amount.
+#[test]
+fn corrections_add_single_lights() {
+    let parameters = BsdfParameters {
+        roughness: 0.5,
+        ..BsdfParameters::default()
     };
-    for block in 0..2 {
-        let mut masks = vec![0; scene.eyes.len()];
-        wanted::<PATCH>(&asker, &list.blocks[block], &mut masks);
-        let seen = |mask: u16| std::array::from_fn(|l| f32::from(mask >> l & 1));
-        let answers: Vec<BlockAnswers> = masks.iter().map(|&mask| seen(mask)).collect();
-        take::<PATCH>(&mut asker, block, &masks, &answers);
+    let mut next = numbers(13);
+    let (list, _) = lights(Kind::Patch, 16, &mut next);
+    let scene = eyes(&parameters, &mut next);
+    let (whole, masks, lost) = shine(&list, &scene, 0.2);
+    let (added, (), lost_again) = ask(&list, &scene, 0.2, |asker| {
+        // Half of what is seen as a bit and a half as corrections, then twice the rest.
+        let wanted = &masks[0];
+        let seen: Vec<u16> = wanted.iter().map(|mask| mask & 0x5555).collect();
+        let corrections: Vec<Correction> = (0..scene.eyes.len() as u32)
+            .flat_map(|eye| (0..16).map(move |light| (eye, light)))
+            .filter(|&(eye, light)| wanted[eye as usize] >> light & 1 != 0)
+            .map(|(eye, light)| Correction {
+                eye,
+                light,
+                amount: if light % 2 == 0 { 1.0 } else { 2.0 },
+            })
+            .collect();
+        asker.take(0, &seen, &corrections);
+    });
+    assert!((lost_again - 2.0 * lost).abs() < 1e-4 * lost);
+    for (whole, added) in whole.iter().zip(&added) {
+        assert!((*added - *whole * 2.0).abs().max_element() <= 1e-4 * whole.max_element());
     }
-    assert_eq!(best, radiance);
 }
 
 /// Prints the cost of shading: `cargo test --release -p occlude-render --lib cost_of_shading -- --ignored --nocapture`.
@@ -286,36 +324,25 @@ fn cost_of_shading() {
             });
             scene.ends.push(few.ends[i % few.ends.len()]);
         }
-        let mut radiance = vec![Vec3::ZERO; scene.eyes.len()];
-        let mut asker = Asker {
-            lights: &list,
-            eyes: &scene.eyes,
-            ends: &scene.ends,
-            scatterers: &scene.scatterers,
-            clamp: 100.0,
-            panes: None,
-            radiance: &mut radiance,
-            clamped: 0.0,
-        };
-        let count = asker.eyes.len();
-        let (mut ask, mut take, mut asked) = (0.0, 0.0, 0u64);
-        for block in 0..64 {
-            let mut masks = vec![0; count];
-            let before = std::time::Instant::now();
-            asker.wanted(block, &mut masks);
-            ask += before.elapsed().as_secs_f64();
-            asked += masks.iter().map(|m| u64::from(m.count_ones())).sum::<u64>();
-            let seen = |mask: u16| std::array::from_fn(|l| f32::from(mask >> l & 1));
-            let answers: Vec<BlockAnswers> = masks.iter().map(|&mask| seen(mask)).collect();
-            let before = std::time::Instant::now();
-            asker.take(block, &masks, &answers);
-            take += before.elapsed().as_secs_f64();
-        }
+        let count = scene.eyes.len();
+        let (mut to_ask, mut to_take, mut asked) = (0.0, 0.0, 0u64);
+        ask(&list, &scene, 100.0, |asker| {
+            for block in 0..64 {
+                let mut masks = vec![0; count];
+                let before = std::time::Instant::now();
+                asker.wanted(block, &mut masks);
+                to_ask += before.elapsed().as_secs_f64();
+                asked += masks.iter().map(|m| u64::from(m.count_ones())).sum::<u64>();
+                let before = std::time::Instant::now();
+                asker.take(block, &masks, &[]);
+                to_take += before.elapsed().as_secs_f64();
+            }
+        });
         let each = 1e9 / (count as f64 * 1024.0);
         println!(
             "{name}: to ask {:.2} ns a light, to shade {:.2} ns a light ({:.0} % asked for)",
-            ask * each,
-            take * each,
+            to_ask * each,
+            to_take * each,
             asked as f64 / (count as f64 * 10.24)
         );
     }
