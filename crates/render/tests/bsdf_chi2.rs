@@ -68,6 +68,26 @@ fn materials() -> Vec<(&'static str, BsdfParameters)> {
                 ..base
             },
         ));
+        for coat_normal in [Vec3::new(0.5, -0.3, 0.8), Vec3::new(-0.04, 0.6, 0.8)] {
+            let tilted = BsdfParameters {
+                roughness: 0.4,
+                clearcoat: 1.0,
+                clearcoat_roughness: roughness,
+                coat_normal: coat_normal.normalize(),
+                ..base
+            };
+            list.push(("tilted coat", tilted));
+            list.push((
+                "tilted coat over glass",
+                BsdfParameters {
+                    transmission: 0.7,
+                    thin: false,
+                    sheen_color: Vec3::splat(0.3),
+                    sheen_roughness: 0.5,
+                    ..tilted
+                },
+            ));
+        }
         list.push((
             "sheen",
             BsdfParameters {
@@ -103,6 +123,11 @@ fn materials() -> Vec<(&'static str, BsdfParameters)> {
 
 /// The direction about which the lobes on one side of the surface peak.
 fn peak(parameters: &BsdfParameters, wo: Vec3, above: bool) -> glam::DVec3 {
+    if above && parameters.coat_normal != Vec3::Z && parameters.coat_normal.dot(wo) > 0.0 {
+        let n = parameters.coat_normal.as_dvec3();
+        let wo = wo.as_dvec3();
+        return (2.0 * n.dot(wo) * n - wo).normalize();
+    }
     if above {
         return glam::DVec3::new(-f64::from(wo.x), 0.0, f64::from(wo.z)).normalize();
     }
@@ -124,7 +149,7 @@ fn samples_follow_the_density() {
     let mut failures = 0;
     for (name, parameters) in &materials {
         for (cos, above) in cosines.into_iter().flat_map(|c| [(c, true), (c, false)]) {
-            if !above && parameters.transmission == 0.0 {
+            if !above && !parameters.reaches_below() {
                 continue;
             }
             let wo = direction(cos);

@@ -115,3 +115,48 @@ fn layers_over_white_keep_what_they_do_not_reflect() {
     println!("darkest: {}", worst.1);
     assert!(worst.0 > 0.8, "{}", worst.1);
 }
+
+/// Coats with a normal of their own: what the coat does not reflect reaches the base and comes back, but for light that the
+/// coat's horizon hides.
+#[test]
+fn tilted_coats_gain_nothing_and_lose_little() {
+    let mut darkest = (1.0_f32, String::new());
+    for degrees in [5.0_f32, 20.0, 45.0] {
+        for azimuth in [0.0_f32, 2.0, 3.1] {
+            for roughness in [0.0, 0.2, 0.6, 1.0] {
+                for (specular, metallic) in [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0)] {
+                    for cos in [0.05, 0.3, 0.7, 1.0] {
+                        let tilt = degrees.to_radians();
+                        let level = glam::Vec2::from_angle(azimuth) * tilt.sin();
+                        let p = BsdfParameters {
+                            specular,
+                            metallic,
+                            roughness: 0.3,
+                            clearcoat: 1.0,
+                            clearcoat_roughness: roughness,
+                            coat_normal: level.extend(tilt.cos()).normalize(),
+                            ..Default::default()
+                        };
+                        let wo = direction(cos);
+                        let e = furnace(&p, wo).x;
+                        let what = format!(
+                            "tilt {degrees} azimuth {azimuth} coat {roughness} specular {specular} metallic {metallic} cos {cos}: {e}"
+                        );
+                        assert!(e < 1.005, "{what}");
+                        if e < darkest.0 {
+                            darkest = (e, what.clone());
+                        }
+                        // Lambert's lobe is normalised over what the tilted coat lets in; a mirror image below the coat's horizon is lost.
+                        if specular == 0.0 {
+                            assert!(e > 0.97, "{what}");
+                            assert!((e - Bsdf::new(&p, wo).albedo().x).abs() < 0.03, "{what}");
+                        }
+                    }
+                }
+            }
+        }
+    }
+    println!("darkest: {}", darkest.1);
+    // A mirror whose image lies along the horizon of a coat that is tilted by 45 degrees.
+    assert!(darkest.0 > 0.45, "{}", darkest.1);
+}

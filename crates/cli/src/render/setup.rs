@@ -39,14 +39,6 @@ pub fn load(
             "the scene holds no triangles: choose another with --gltf-scene or export its meshes",
         ));
     }
-    for material in &scene.materials {
-        if material.clearcoat_normal.is_some() {
-            context.warn(format_args!(
-                "the clear coat is smooth, its normal map is ignored: material {:?}",
-                material.name
-            ));
-        }
-    }
     if let Some(sun) = &args.sun {
         add_sun(&mut scene, sun);
     }

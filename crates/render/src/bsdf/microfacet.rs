@@ -44,9 +44,26 @@ pub(super) fn g2_over_4cos_o(cos_o: f32, root_o: f32, cos_i: f32, root_i: f32) -
 /// Cosine at the microfacet that reflects `wi` into `wo`, and [`ggx_d`] there, from the sum `wo + wi` without normalising it.
 #[inline]
 pub(super) fn half_vector(alpha: f32, sum: Vec3) -> (f32, f32) {
+    half_vector_from(alpha, sum, sum.x * sum.x + sum.y * sum.y, sum.z)
+}
+
+/// [`half_vector`] of a lobe about the unit vector `normal` in place of z.
+#[inline]
+pub(super) fn half_vector_about(normal: Vec3, alpha: f32, sum: Vec3) -> (f32, f32) {
+    half_vector_from(
+        alpha,
+        sum,
+        normal.cross(sum).length_squared(),
+        normal.dot(sum),
+    )
+}
+
+/// `level2` is the squared length of the part of `sum` that lies in the plane of the surface.
+#[inline]
+fn half_vector_from(alpha: f32, sum: Vec3, level2: f32, height: f32) -> (f32, f32) {
     let a2 = alpha * alpha;
     let length2 = sum.length_squared().max(f32::MIN_POSITIVE);
-    let e = (sum.x * sum.x + sum.y * sum.y) + a2 * (sum.z * sum.z);
+    let e = level2 + a2 * (height * height);
     let ratio = length2 / e.max(f32::MIN_POSITIVE);
     (
         (0.5 * length2.sqrt()).min(1.0),

@@ -61,10 +61,19 @@ pub struct BsdfParameters {
     pub clearcoat: f32,
     /// Perceptual roughness of the clear coat.
     pub clearcoat_roughness: f32,
+    /// Unit normal of the clear coat in the local frame, above which `wo` is; z if it is that of the base.
+    pub coat_normal: Vec3,
     /// Sheen colour.
     pub sheen_color: Vec3,
     /// Perceptual roughness of the sheen.
     pub sheen_roughness: f32,
+}
+
+impl BsdfParameters {
+    /// Whether light from below the horizon of the shading normal counts: what is transmitted, and what a coat with a normal of its own reflects.
+    pub fn reaches_below(&self) -> bool {
+        self.transmission > 0.0 || (self.clearcoat > 0.0 && self.coat_normal != Vec3::Z)
+    }
 }
 
 impl Default for BsdfParameters {
@@ -82,6 +91,7 @@ impl Default for BsdfParameters {
             entering: true,
             clearcoat: 0.0,
             clearcoat_roughness: 0.0,
+            coat_normal: Vec3::Z,
             sheen_color: Vec3::ZERO,
             sheen_roughness: 0.0,
         }
@@ -223,6 +233,18 @@ impl Bsdf {
             });
         }
         self.sample_lobes(wo, lobe, u)
+    }
+
+    /// Whether the surface may scatter light between `wo` and `wi` (local), `wi` lying `above` the geometric surface as `wo` does, or not: both
+    /// normals must agree on the side, or light would leak through the surface. Only a coat with a normal of its own reflects
+    /// to directions below the base's.
+    #[inline]
+    pub fn connects(&self, wi: Vec3, above: bool) -> bool {
+        if above {
+            wi.z > 0.0 || self.coat_below().is_some_and(|l| l.above_coat(wi))
+        } else {
+            wi.z < 0.0 && self.coat_below().is_none()
+        }
     }
 
     /// Light that goes straight through towards `wo` without a change of direction, by colour: the mean of `weight` over the samples

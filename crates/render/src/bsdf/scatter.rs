@@ -5,9 +5,10 @@
 //! reflects or transmits there in proportion to what the facet does.
 
 use super::albedo::Row;
+use super::layers::Layers;
 use super::microfacet::{
-    fresnel_dielectric, g1_over_2cos, g2_over_4cos_o, ggx_d, half_vector, reflect, refract,
-    sample_visible_normal, schlick_weight, smith_root,
+    GRAZING, fresnel_dielectric, g1_over_2cos, g2_over_4cos_o, ggx_d, half_vector, reflect,
+    refract, sample_visible_normal, schlick_weight, smith_root,
 };
 use super::{Bsdf, BsdfSample, Cover, Wall};
 use crate::sampling::warp::{self, UNIFORM_HEMISPHERE_PDF};
@@ -79,9 +80,9 @@ impl Bsdf {
             && self.cover == Cover::Near
         {
             // The cosine lobe takes the normalised product (the rest of it is in `diffuse` and `multiple`), the others the minimum.
-            value *= layers.through(wi.z);
+            value *= layers.through(wi);
             let (specular, p) = self.eval_specular(wo, wi);
-            value += specular * layers.dim(wi.z);
+            value += specular * layers.dim(wi);
             pdf += p;
             if self.pick.coat > 0.0 && !layers.coat_delta {
                 let (coat, p) = layers.eval_coat(wo, wi);
@@ -117,6 +118,16 @@ impl Bsdf {
     /// All lobes on the far side.
     pub(super) fn eval_below(&self, wo: Vec3, wi: Vec3) -> (Vec3, f32) {
         let none = (Vec3::ZERO, 0.0);
+        if self.wall == Wall::Opaque {
+            let Some(layers) = self.coat_below() else {
+                return none;
+            };
+            if layers.coat_delta {
+                return none;
+            }
+            let (coat, pdf) = layers.eval_coat(wo, wi);
+            return (Vec3::splat(coat), self.pick.coat * pdf);
+        }
         if self.delta || self.pick.specular <= 0.0 {
             return none;
         }
@@ -171,10 +182,16 @@ impl Bsdf {
     pub(super) fn dim_transmission(&self, wo: Vec3, wi: Vec3) -> f32 {
         match (&self.layers, self.wall, self.cover) {
             (None, ..) => 1.0,
-            (Some(l), Wall::Thick, Cover::Near) => l.through(wo.z),
-            (Some(l), Wall::Thick, Cover::Far) => l.through(-wi.z),
-            (Some(l), ..) => l.dim(-wi.z),
+            (Some(l), Wall::Thick, Cover::Near) => l.through(wo),
+            (Some(l), Wall::Thick, Cover::Far) => l.through(-wi),
+            (Some(l), ..) => l.dim(-wi),
         }
+    }
+
+    /// The layers, if their coat reflects to directions below the base's horizon too: a coat with a normal of its own, over an opaque base.
+    pub(super) fn coat_below(&self) -> Option<&Layers> {
+        let layers = self.layers.as_ref()?;
+        (self.wall == Wall::Opaque && self.pick.coat > 0.0 && layers.tilted()).then_some(layers)
     }
 
     pub(super) fn sample_lobes(&self, wo: Vec3, lobe: f32, u: Vec2) -> Option<BsdfSample> {
@@ -269,17 +286,12 @@ impl Bsdf {
             })
         };
         if choice < facet.pick_reflect {
+            let wi = Vec3::new(-wo.x, -wo.y, wo.z);
             let dim = match (&self.layers, self.cover) {
-                (Some(layers), Cover::Near) => layers.through_o,
+                (Some(layers), Cover::Near) => layers.dim(wi),
                 _ => 1.0,
             };
-            return exact(
-                Vec3::new(-wo.x, -wo.y, wo.z),
-                facet.reflect * dim,
-                facet.pick_reflect,
-                false,
-                1.0,
-            );
+            return exact(wi, facet.reflect * dim, facet.pick_reflect, false, 1.0);
         }
         let thick = self.wall == Wall::Thick;
         let (wi, eta2) = if thick {
@@ -302,9 +314,12 @@ impl Bsdf {
     fn sample_layers(&self, wo: Vec3, rest: f32, u: Vec2) -> Option<BsdfSample> {
         let layers = self.layers.as_ref()?;
         if rest < self.pick.coat {
+            let wi = layers.sample_coat(wo, u)?;
+            if wi.z < GRAZING && self.coat_below().is_none() {
+                return None;
+            }
             if layers.coat_delta {
-                let weight = Vec3::splat(layers.coat_facet(wo.z) / self.pick.coat);
-                let wi = Vec3::new(-wo.x, -wo.y, wo.z);
+                let weight = Vec3::splat(layers.coat_mirror() / self.pick.coat);
                 return Some(BsdfSample {
                     wi,
                     weight,
@@ -314,12 +329,7 @@ impl Bsdf {
                     eta2: 1.0,
                 });
             }
-            let wi = reflect(wo, sample_visible_normal(layers.coat_alpha, wo, u));
-            return if wi.z > 0.0 {
-                self.finish(wo, wi)
-            } else {
-                None
-            };
+            return self.finish(wo, wi);
         }
         if self.pick.sheen > 0.0 {
             self.finish(wo, warp::uniform_hemisphere(u))
@@ -330,7 +340,7 @@ impl Bsdf {
 
     /// Means over the hemisphere, cosine-weighted, of what the layers make of the two parts of the cosine lobe:
     /// `(mean of (1 - E) T / mean of (1 - E), mean of lost T / mean of lost)`, by Gauss' rule of 6 points.
-    pub(super) fn mean_dimming(&self, row: Row, layers: &super::Layers) -> (f32, f32) {
+    pub(super) fn mean_dimming(&self, row: Row, layers: &Layers) -> (f32, f32) {
         const NODES: [(f32, f32); 6] = [
             (0.033_765_24, 0.085_662_25),
             (0.169_395_3, 0.180_380_79),
@@ -343,7 +353,7 @@ impl Bsdf {
         for (mu, weight) in NODES {
             let w = weight * mu;
             let e = row.at(mu);
-            let t = layers.through(mu);
+            let t = layers.mean_through(mu);
             let through = self.through[0] + self.through[1] * e.a + self.through[2] * e.b;
             for (sum, term) in sums
                 .iter_mut()

@@ -103,7 +103,7 @@ impl Bsdf {
         let metallic = unit(parameters.metallic);
         let specular = unit(parameters.specular);
         let transmission = unit(parameters.transmission);
-        let layers = Layers::new(parameters, wo.z);
+        let layers = Layers::new(parameters, wo);
         if metallic == 0.0 && specular == 0.0 && transmission == 0.0 && layers.is_none() {
             return Self {
                 lambert: base.max_element() > 0.0,
@@ -235,7 +235,7 @@ impl Bsdf {
                 bsdf.multiple *= layers.through_o / lost;
                 cosine *= layers.through_o;
                 specular *= layers.through_o;
-                coat = layers.coat_albedo(wo.z);
+                coat = layers.coat_albedo_o();
                 sheen = layers.sheen_color_albedo(wo.z);
             }
         }

@@ -119,7 +119,7 @@ impl Bsdf {
         if sharp.coat > 0.0
             && let Some(layers) = &self.layers
         {
-            albedo += Vec3::splat(layers.coat_albedo(self.cos_o));
+            albedo += Vec3::splat(layers.coat_albedo_o());
         }
         albedo.min(self.albedo)
     }

@@ -25,6 +25,10 @@ pub struct Surface<'a> {
     pub hit: Hit,
     /// Shading normal on the front side, before it is bent towards a viewer.
     shading_front: Vec3,
+    /// The same of the clear coat, where it has a normal of its own.
+    coat_front: Option<Vec3>,
+    /// The clear coat's normal in the local frame.
+    coat_local: Vec3,
     mesh: &'a Mesh,
     material: &'a Material,
 }
@@ -66,6 +70,8 @@ impl<'a> Surface<'a> {
             extent: triangle.extent(),
             hit,
             shading_front: smooth,
+            coat_front: None,
+            coat_local: Vec3::Z,
             mesh,
             material,
         };
@@ -73,6 +79,14 @@ impl<'a> Surface<'a> {
             surface.shading_front = surface
                 .mapped_normal(geometry, map, &triangle, smooth)
                 .unwrap_or(smooth);
+        }
+        // KHR_materials_clearcoat: without a map of its own the coat is smooth, whatever lies below.
+        if material.clearcoat > 0.0 && material.clearcoat_normal != material.normal {
+            let mapped = material
+                .clearcoat_normal
+                .as_ref()
+                .and_then(|map| surface.mapped_normal(geometry, map, &triangle, smooth));
+            surface.coat_front = Some(mapped.unwrap_or(smooth));
         }
         surface.orient(toward_eye);
         Some(surface)
@@ -106,6 +120,11 @@ impl<'a> Surface<'a> {
         let z = seen_from(shading, self.normal, toward_eye);
         let (x, y) = z.any_orthonormal_pair();
         self.world_from_local = Mat3::from_cols(x, y, z);
+        if let Some(coat) = self.coat_front {
+            let coat = if self.front { coat } else { -coat };
+            let coat = mirroring_up(coat, self.normal, toward_eye);
+            self.coat_local = (self.world_from_local.transpose() * coat).normalize();
+        }
     }
 
     /// The normal that a normal map gives, on the front side. `None` where it is not defined.
@@ -126,7 +145,13 @@ impl<'a> Surface<'a> {
         let texel =
             lookup(geometry.scene, self.mesh, &map.texture, primitive, u, v).xyz() * 2.0 - 1.0;
         let local = Vec3::new(texel.x * map.scale, texel.y * map.scale, texel.z);
-        let tangents = geometry.pose.tangents(geometry.scene, instance as usize);
+        // The mesh's tangents belong to the UV set of the base's map.
+        let base_set = self.material.normal.map(|base| base.texture.uv_set);
+        let tangents = if base_set.is_none_or(|set| set == map.texture.uv_set) {
+            geometry.pose.tangents(geometry.scene, instance as usize)
+        } else {
+            &[]
+        };
         let (tangent, sign) = if tangents.is_empty() {
             // Directions of growing u and v on the triangle.
             let set = if map.texture.uv_set == 0 {
@@ -171,6 +196,12 @@ impl<'a> Surface<'a> {
         (tangent * local.x + bitangent * local.y + smooth * local.z).try_normalize()
     }
 
+    /// Whether a mirror (`across` 1) or clear glass (-1) leads the viewer of `turned`, the same point, to this one's: both see the same normals.
+    pub fn mirrors_like(&self, turned: &Self, across: f32) -> bool {
+        self.shading_normal() == turned.shading_normal() * across
+            && (across < 0.0 || self.coat_local == turned.coat_local)
+    }
+
     /// Material of the surface.
     pub fn material(&self) -> &'a Material {
         self.material
@@ -179,6 +210,12 @@ impl<'a> Surface<'a> {
     /// The unit shading normal.
     pub fn shading_normal(&self) -> Vec3 {
         self.world_from_local.z_axis
+    }
+
+    /// The clear coat's unit normal in the local frame, bent so that the viewer's mirror image is above the surface: z
+    /// unless the coat has one of its own.
+    pub fn coat_normal(&self) -> Vec3 {
+        self.coat_local
     }
 
     /// Radiance that the surface emits towards the viewer, textures applied.
@@ -242,6 +279,7 @@ impl<'a> Surface<'a> {
                 &material.clearcoat_roughness_texture,
                 1,
             ),
+            coat_normal: self.coat_local,
             sheen_color: tinted(material.sheen_color, &material.sheen_color_texture),
             sheen_roughness: scaled(
                 material.sheen_roughness,
@@ -266,9 +304,42 @@ fn seen_from(shading: Vec3, normal: Vec3, toward_eye: Vec3) -> Vec3 {
         .map_or(normal, |level| (level + toward_eye * LEAST_COS).normalize())
 }
 
+/// Bends a coat's normal just far enough that it mirrors `toward_eye` to a direction above the surface, as light does that would
+/// have bounced there twice: a smooth coat whose mirror image lies within the body would be black. (The reflected direction is
+/// lifted, the normal follows from it: Keller et al. 2017, "The Iray Light Transport Simulation and Rendering System", section A.3.)
+fn mirroring_up(coat: Vec3, normal: Vec3, toward_eye: Vec3) -> Vec3 {
+    const LEAST_HEIGHT: f32 = 0.01;
+    let least = LEAST_HEIGHT.min(toward_eye.dot(normal).abs());
+    let mirrored = 2.0 * coat.dot(toward_eye) * coat - toward_eye;
+    let height = mirrored.dot(normal);
+    if height >= least && coat.dot(toward_eye) > 0.0 {
+        return coat;
+    }
+    let lifted = (mirrored + normal * (least - height).max(0.0)).normalize();
+    (lifted + toward_eye).try_normalize().unwrap_or(normal)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn coats_mirror_to_directions_above_the_surface() {
+        for i in 0..10_000_u32 {
+            let turn = |k: f32| (i as f32 * k).fract() - 0.5;
+            let eye =
+                Vec3::new(turn(0.618), 0.5 * (turn(0.7548) + 0.501), turn(0.5698)).normalize();
+            let coat = Vec3::new(turn(0.819) * 3.0, 0.3, turn(0.671) * 3.0).normalize();
+            let bent = mirroring_up(coat, Vec3::Y, eye);
+            let mirrored = 2.0 * bent.dot(eye) * bent - eye;
+            assert!(
+                bent.is_normalized() && bent.dot(eye) > 0.0 && mirrored.y > 0.0,
+                "{eye} {coat} -> {bent}"
+            );
+            let free = 2.0 * coat.dot(eye) * coat - eye;
+            assert!(bent == coat || free.y < 0.01 || coat.dot(eye) <= 0.0);
+        }
+    }
 
     #[test]
     fn bent_normals_face_the_viewer() {

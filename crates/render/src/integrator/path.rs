@@ -411,7 +411,7 @@ fn shade_hit(
     // The best stratified pair of a set goes to what matters most.
     let [u, v, pick, roulette] = path.sampler.next();
     let distance = path.travelled + hit.t;
-    let light_normal = if parameters.transmission > 0.0 {
+    let light_normal = if parameters.reaches_below() {
         Vec3::ZERO
     } else {
         surface.shading_normal()
@@ -428,8 +428,7 @@ fn shade_hit(
         if let Some(light) = sample {
             let wi = local_from_world * light.wi;
             let side = light.wi.dot(surface.normal);
-            // Both normals must agree on the side, or light would leak through the surface.
-            if side * wi.z > 0.0 {
+            if bsdf.connects(wi, side > 0.0) {
                 let (f_cos, pdf) = bsdf.eval(wo, wi);
                 let weight = if light.delta {
                     1.0
@@ -470,7 +469,7 @@ fn shade_hit(
     };
     let direction = (world_from_local * sample.wi).normalize();
     let side = direction.dot(surface.normal);
-    if side * sample.wi.z <= 0.0 {
+    if !bsdf.connects(sample.wi, side > 0.0) {
         return false;
     }
     // What passes anything but a pane counts as an event, since shadow rays do not pass it.

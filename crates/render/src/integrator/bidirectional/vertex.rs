@@ -30,6 +30,7 @@ impl<'a> Facing<'a> {
         let wo = surface.world_from_local.transpose() * viewer;
         let parameters = BsdfParameters {
             entering: surface.front,
+            coat_normal: surface.coat_normal(),
             ..*parameters
         };
         Self {
@@ -43,8 +44,7 @@ impl<'a> Facing<'a> {
     /// `(f |cos|, pdf)` of light that arrives along `wi` (world space) and leaves to the viewer, exact lobes left out.
     pub(super) fn eval(&self, wi: Vec3) -> (Vec3, f32) {
         let local = self.surface.world_from_local.transpose() * wi;
-        // Both normals must agree on the side, or light would leak through the surface.
-        if wi.dot(self.surface.normal) * local.z > 0.0 {
+        if self.bsdf.connects(local, wi.dot(self.surface.normal) > 0.0) {
             self.bsdf.eval(self.wo, local)
         } else {
             (Vec3::ZERO, 0.0)
@@ -53,7 +53,7 @@ impl<'a> Facing<'a> {
 
     /// What light sampling is told about the surface: its shading normal, or zero if light from below counts too.
     pub(super) fn light_normal(&self, parameters: &BsdfParameters) -> Vec3 {
-        if parameters.transmission > 0.0 {
+        if parameters.reaches_below() {
             Vec3::ZERO
         } else {
             self.surface.shading_normal()

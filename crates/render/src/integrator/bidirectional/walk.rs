@@ -203,7 +203,7 @@ impl Walk {
         };
         let direction = (surface.world_from_local * sample.wi).normalize();
         let side = direction.dot(surface.normal);
-        if side * sample.wi.z <= 0.0 {
+        if !facing.bsdf.connects(sample.wi, side > 0.0) {
             return false;
         }
         // What passes anything but a pane counts as an event, since shadow rays do not pass it.
@@ -286,7 +286,7 @@ impl Walk {
         let facing = &vertex.facing;
         // A shading normal that is bent towards one viewer mirrors elsewhere than the one that the other side sees.
         let across = facing.surface.normal.dot(turned.surface.normal).signum();
-        let same = facing.surface.shading_normal() == turned.surface.shading_normal() * across;
+        let same = facing.surface.mirrors_like(&turned.surface, across);
         let arriving = facing.viewer.dot(facing.surface.normal);
         let reverse = if same {
             arriving / (cosine * sample.eta2)
@@ -302,7 +302,12 @@ impl Walk {
                 if !same {
                     return false;
                 }
-                let shading = facing.wo.z / turned.wo.z;
+                // A mirror image has the cosine of its original, to whichever normal it is one.
+                let shading = if across > 0.0 {
+                    1.0
+                } else {
+                    facing.wo.z / turned.wo.z
+                };
                 self.throughput *= sample.weight * (sample.eta2 * shading * cosine / arriving);
             }
         }
