@@ -10,6 +10,14 @@ pub struct Setting {
     pub quick: bool,
     pub scenes: PathBuf,
     pub only: Vec<String>,
+    /// Parts of a suite that are wanted; empty: all.
+    pub topics: Vec<String>,
+    /// Size of pictures, if not the suite's own.
+    pub size: Option<[u32; 2]>,
+    /// Samples a pixel, if not the suite's own.
+    pub samples: Vec<u32>,
+    /// Repetitions, if not the suite's own.
+    pub repetitions: Option<usize>,
     /// Where results are written.
     pub out: PathBuf,
 }
@@ -18,6 +26,11 @@ impl Setting {
     /// Is this scene wanted?
     pub fn wants(&self, scene: &str) -> bool {
         self.only.is_empty() || self.only.iter().any(|name| name == scene)
+    }
+
+    /// Is this part of the suite wanted?
+    pub fn wants_topic(&self, topic: &str) -> bool {
+        self.topics.is_empty() || self.topics.iter().any(|name| name == topic)
     }
 }
 
@@ -40,12 +53,22 @@ pub struct Row {
     pub holds: Option<bool>,
 }
 
+/// Numbers side by side, for a reader.
+struct Table {
+    title: String,
+    header: Vec<String>,
+    rows: Vec<Vec<String>>,
+}
+
 /// Everything that a suite found out.
 pub struct Report {
     title: String,
     rows: Vec<Row>,
+    tables: Vec<Table>,
+    figures: Vec<(String, String)>,
     notes: Vec<String>,
     csv: String,
+    live: Option<PathBuf>,
 }
 
 impl Report {
@@ -53,9 +76,73 @@ impl Report {
         Self {
             title: title.into(),
             rows: Vec::new(),
+            tables: Vec::new(),
+            figures: Vec::new(),
             notes: Vec::new(),
             csv: format!("{csv_header}\n"),
+            live: None,
         }
+    }
+
+    /// From now on [`Report::save`] writes what there is to this folder.
+    pub fn live(&mut self, folder: &Path) {
+        self.live = Some(folder.to_owned());
+    }
+
+    /// Writes what there is, so that a run which is cut off leaves it.
+    pub fn save(&self) {
+        if let Some(folder) = &self.live
+            && let Err(error) = self.write(folder)
+        {
+            eprintln!("{}: {error}", folder.display());
+        }
+    }
+
+    /// Adds a row to the table of that title, which is made if it is not there; shown at once too.
+    pub fn table(&mut self, title: &str, header: &[&str], cells: Vec<String>) {
+        let index = match self.tables.iter().position(|table| table.title == title) {
+            Some(index) => index,
+            None => {
+                self.tables.push(Table {
+                    title: title.into(),
+                    header: header.iter().map(|&name| name.into()).collect(),
+                    rows: Vec::new(),
+                });
+                self.tables.len() - 1
+            }
+        };
+        let table = &mut self.tables[index];
+        let pairs = table.header.iter().zip(&cells);
+        let line: Vec<String> = pairs.map(|(name, cell)| format!("{name} {cell}")).collect();
+        eprintln!("{title}: {}", line.join(", "));
+        table.rows.push(cells);
+        self.save();
+    }
+
+    /// A figure: what it shows, and its HTML (inline SVG, or pictures beside the report). One of the same caption is replaced.
+    pub fn figure(&mut self, caption: &str, html: String) {
+        self.figures.retain(|(other, _)| other != caption);
+        self.figures.push((caption.into(), html));
+        self.save();
+    }
+
+    /// The tables as Markdown.
+    fn markdown(&self) -> String {
+        let mut out = String::new();
+        for table in &self.tables {
+            let _ = writeln!(
+                out,
+                "## {}\n\n| {} |",
+                table.title,
+                table.header.join(" | ")
+            );
+            let _ = writeln!(out, "|{}", "-|".repeat(table.header.len()));
+            for row in &table.rows {
+                let _ = writeln!(out, "| {} |", row.join(" | "));
+            }
+            out.push('\n');
+        }
+        out
     }
 
     pub fn row(&mut self, row: Row) {
@@ -101,6 +188,9 @@ impl Report {
         let json = serde_json::to_string_pretty(&self.rows).map_err(std::io::Error::other)?;
         std::fs::write(folder.join("results.json"), json + "\n")?;
         std::fs::write(folder.join("raw.csv"), &self.csv)?;
+        if !self.tables.is_empty() {
+            std::fs::write(folder.join("tables.md"), self.markdown())?;
+        }
         std::fs::write(folder.join("report.html"), self.html())
     }
 
@@ -109,7 +199,8 @@ impl Report {
             "<!doctype html><meta charset=utf-8><title>{0}</title>\
              <style>body{{font:15px sans-serif;margin:2em;max-width:75em}}td,th{{padding:.2em .8em;text-align:right}}\
              td:nth-child(-n+2),th:nth-child(-n+2){{text-align:left}}tr:nth-child(even){{background:#f3f3f3}}\
-             .yes{{color:#070}}.no{{color:#b00;font-weight:bold}}pre{{white-space:pre-wrap}}</style><h1>{0}</h1><pre>{1}</pre>",
+             .yes{{color:#070}}.no{{color:#b00;font-weight:bold}}pre{{white-space:pre-wrap}}\
+             table{{border-collapse:collapse;font-variant-numeric:tabular-nums}}figure{{margin:1.5em 0}}img{{max-width:100%;image-rendering:pixelated}}</style><h1>{0}</h1><pre>{1}</pre>",
             escape(&self.title),
             escape(&machine()),
         );
@@ -134,7 +225,28 @@ impl Report {
                 escape(row.bar.as_deref().unwrap_or_default()),
             );
         }
-        out.push_str("</table>\n<ul>");
+        out.push_str("</table>\n");
+        for table in &self.tables {
+            let _ = writeln!(out, "<h2>{}</h2><table><tr>", escape(&table.title));
+            for name in &table.header {
+                let _ = write!(out, "<th>{}", escape(name));
+            }
+            for row in &table.rows {
+                out.push_str("</tr>\n<tr>");
+                for cell in row {
+                    let _ = write!(out, "<td>{}", escape(cell));
+                }
+            }
+            out.push_str("</tr></table>\n");
+        }
+        for (caption, html) in &self.figures {
+            let _ = writeln!(
+                out,
+                "<figure><figcaption>{}</figcaption>{html}</figure>",
+                escape(caption)
+            );
+        }
+        out.push_str("<ul>");
         for note in &self.notes {
             let _ = writeln!(out, "<li>{}", escape(note));
         }

@@ -4,6 +4,7 @@
 
 mod common;
 mod pictures;
+mod quantized;
 mod rays;
 
 use clap::{Parser, ValueEnum};
@@ -27,6 +28,26 @@ struct Arguments {
     /// Only these scenes (names, comma-separated; the suite `pictures` takes files too).
     #[arg(long, value_delimiter = ',')]
     only: Vec<String>,
+    /// Only these parts (comma-separated; the suite `quantized` has some).
+    #[arg(long, value_delimiter = ',')]
+    topics: Vec<String>,
+    /// Size of pictures, such as 640x400 (the suite `quantized`).
+    #[arg(long, value_parser = size)]
+    size: Option<[u32; 2]>,
+    /// Samples a pixel (comma-separated; the suite `quantized`).
+    #[arg(long, value_delimiter = ',', value_parser = clap::value_parser!(u32).range(1..=65536))]
+    samples: Vec<u32>,
+    /// Repetitions of what is timed (the suite `quantized`).
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    repetitions: Option<u32>,
+}
+
+/// Reads `WIDTHxHEIGHT`.
+fn size(text: &str) -> Result<[u32; 2], String> {
+    let number = |text: &str| text.parse().ok().filter(|n| (8..=16384).contains(n));
+    text.split_once('x')
+        .and_then(|(width, height)| Some([number(width)?, number(height)?]))
+        .ok_or_else(|| "write WIDTHxHEIGHT, 8 to 16384 each".to_owned())
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -37,6 +58,8 @@ enum Suite {
     Pictures,
     /// Ways of choosing among many lights, at equal time.
     ManyLights,
+    /// Quantized visibility against exact rays: time, rays, error.
+    Quantized,
 }
 
 fn main() -> ExitCode {
@@ -48,12 +71,17 @@ fn main() -> ExitCode {
         quick: arguments.quick,
         scenes,
         only: arguments.only,
+        topics: arguments.topics,
+        size: arguments.size,
+        samples: arguments.samples,
+        repetitions: arguments.repetitions.map(|n| n as usize),
         out: arguments.out.clone(),
     };
     let report = match arguments.suite {
         Suite::Rays => rays::run(&setting),
         Suite::Pictures => pictures::run(&setting),
         Suite::ManyLights => pictures::many_lights::run(&setting),
+        Suite::Quantized => quantized::run(&setting),
     };
     match report.write(&arguments.out) {
         Ok(()) => {

@@ -1,0 +1,221 @@
+//! Fewer rays, less time, at which error: a row for each scene and number of samples.
+
+use super::figure;
+use super::measured::Measured;
+use super::quality::quality;
+use super::shot::{Stage, Task, instant_radiosity, interleave};
+use super::subject::Subject;
+use super::{Plan, fixed, percent, short};
+use crate::common::{Report, Row, Setting};
+use occlude_visibility::Exact;
+use occlude_visibility::quantized::Guarantee;
+
+/// Mean FLIP that still counts as the same picture.
+const SAME: f64 = 0.02;
+/// Share of the bound that is to be reached.
+const OF_THE_BOUND: f64 = 0.6;
+
+const TITLE: &str = "Rays, time and error against exact visibility with the same samples";
+const HEADER: &[&str] = &[
+    "scene",
+    "samples",
+    "questions",
+    "rays exact",
+    "rays cached",
+    "rays /",
+    "exact s",
+    "cached s",
+    "faster",
+    "spread",
+    "FLIP",
+    "FLIP 99 %",
+    "worst block",
+    "energy change",
+    "refined by level",
+    "ns query",
+    "ns miss",
+    "ns ray, coherent",
+    "ns shading",
+    "shading-only limit",
+    "frame without rays",
+    "bound",
+    "of the bound",
+];
+
+/// Measures a scene; shows its pictures if they are wanted.
+pub fn run(
+    setting: &Setting,
+    plan: &Plan,
+    report: &mut Report,
+    subject: &Subject,
+    stage: &Stage,
+    pictures: bool,
+) {
+    let samples = plan.samples.clone();
+    for (index, &samples) in samples.iter().enumerate() {
+        let task = Task {
+            integrator: instant_radiosity(subject.max_depth, subject.vpls(setting)),
+            size: plan.size,
+            samples,
+            seed: plan.seed,
+            single_passes: false,
+        };
+        let cache = || stage.quantized(&task, Guarantee::Bounded, |_| ());
+        let (exact, cached) = interleave(
+            plan.repetitions,
+            || stage.shoot(&Exact, &task),
+            || stage.shoot(&cache(), &task),
+        );
+        // The parts are timed apart, since clocks cost time.
+        let timed_exact = Measured::new(&Exact);
+        let clocked = stage.shoot(&timed_exact, &task);
+        let strategy = cache();
+        let timed_cached = Measured::new(&strategy);
+        stage.shoot(&timed_cached, &task);
+        let (e, c) = (timed_exact.ledger().all(), timed_cached.ledger().all());
+
+        let (exact_stats, cached_stats) = (
+            &exact.last().report.visibility,
+            &cached.last().report.visibility,
+        );
+        if exact_stats.queries != cached_stats.queries {
+            report.note(format!(
+                "{}: exact asks {} questions, cached {}: these are different pictures",
+                subject.name, exact_stats.queries, cached_stats.queries
+            ));
+        }
+        for (side, series) in [("exact", &exact), ("cached", &cached)] {
+            for (repetition, shot) in series.0.iter().enumerate() {
+                for (what, value) in [("wall", shot.seconds), ("cpu", shot.cpu_seconds)] {
+                    report.raw(&format!(
+                        "reduction,{},{samples},{side},{repetition},{what},{value:.4},s",
+                        subject.name
+                    ));
+                }
+            }
+        }
+        let quality = match quality(&cached.last().picture, &exact.last().picture) {
+            Ok(quality) => quality,
+            Err(why) => return report.note(format!("{}: {why}", subject.name)),
+        };
+        let reduction = cached.last().reduction();
+        let (exact_s, exact_spread) = exact.seconds();
+        let (cached_s, cached_spread) = cached.seconds();
+        let faster = exact_s / cached_s;
+        let (shade, ray) = (e.shading_ns(), e.ray_ns());
+        let (query, miss) = (c.query_ns(), c.ray_ns());
+        let bound = (shade + ray) / (shade + query + miss / reduction);
+        let without_rays = clocked.cpu_seconds / (clocked.cpu_seconds - e.rays).max(1e-9);
+        let of_the_bound = faster / bound;
+        let refined: Vec<String> = cached_stats
+            .refined
+            .iter()
+            .map(|&n| percent(n as f64 / cached_stats.queries as f64))
+            .collect();
+        report.table(
+            TITLE,
+            HEADER,
+            vec![
+                subject.name.into(),
+                samples.to_string(),
+                short(cached_stats.queries as f64),
+                short(exact_stats.traced as f64),
+                short(cached_stats.traced as f64),
+                fixed(reduction),
+                fixed(exact_s),
+                fixed(cached_s),
+                fixed(faster),
+                format!("{:.2}", exact_spread.max(cached_spread)),
+                format!("{:.4}", quality.flip),
+                format!("{:.3}", quality.flip_99),
+                format!("{:.3}", quality.flip_block),
+                percent(quality.energy),
+                refined.join(" "),
+                fixed(query),
+                fixed(miss),
+                fixed(ray),
+                fixed(shade),
+                fixed((shade + ray) / shade),
+                fixed(without_rays),
+                fixed(bound),
+                percent(of_the_bound),
+            ],
+        );
+        for (what, value, unit) in [
+            ("queries", cached_stats.queries as f64, "1"),
+            ("traced", cached_stats.traced as f64, "1"),
+            ("flip", quality.flip, "1"),
+            ("flip_99", quality.flip_99, "1"),
+            ("flip_block", quality.flip_block, "1"),
+            ("energy_change", quality.energy, "1"),
+            ("ssim", quality.ssim, "1"),
+            ("relmse", quality.relmse, "1"),
+            ("query", query, "ns"),
+            ("miss", miss, "ns"),
+            ("ray", ray, "ns"),
+            ("shading", shade, "ns"),
+            ("bound", bound, "1"),
+        ] {
+            report.raw(&format!(
+                "reduction,{},{samples},cached,,{what},{value:.6},{unit}",
+                subject.name
+            ));
+        }
+        let same = quality.flip <= SAME;
+        let mut row = |name: &str, value: f64, unit: &str, bar: Option<String>, holds: bool| {
+            report.row(Row {
+                name: format!("{name}, {samples} samples"),
+                scene: subject.name.into(),
+                value,
+                unit: unit.into(),
+                baseline: None,
+                ratio: None,
+                spread: None,
+                holds: bar.is_some().then_some(holds),
+                bar,
+            });
+        };
+        let at = format!("at FLIP <= {SAME}");
+        let [rays, speed] = subject.bars;
+        row(
+            "ray reduction",
+            reduction,
+            "times fewer",
+            rays.map(|bar| format!(">= {bar} {at}")),
+            same && rays.is_some_and(|bar| reduction >= bar),
+        );
+        row(
+            "speedup",
+            faster,
+            "times faster",
+            speed.map(|bar| format!(">= {bar} {at}")),
+            same && speed.is_some_and(|bar| faster >= bar),
+        );
+        row(
+            "share of the bound",
+            of_the_bound,
+            "",
+            subject
+                .bars
+                .iter()
+                .any(Option::is_some)
+                .then(|| format!(">= {OF_THE_BOUND}")),
+            of_the_bound >= OF_THE_BOUND,
+        );
+        row("FLIP", quality.flip, "", Some(format!("<= {SAME}")), same);
+        if pictures
+            && index == 0
+            && let Err(why) = figure::show(
+                setting,
+                report,
+                (subject.name, samples),
+                exact.last(),
+                cached.last(),
+                &quality,
+            )
+        {
+            report.note(why);
+        }
+        report.save();
+    }
+}

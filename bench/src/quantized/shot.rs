@@ -1,0 +1,197 @@
+//! One rendering: a stage, a strategy, and what came of it.
+
+use crate::common::{median, process_seconds};
+use occlude_image::Picture;
+use occlude_render::camera::{PixelFilter, View};
+use occlude_render::film::Film;
+use occlude_render::geometry::Geometry;
+use occlude_render::integrator::{
+    InstantRadiosity, Integrator, RenderReport, RenderSettings, World, render,
+};
+use occlude_render::job::Job;
+use occlude_render::light::Lights;
+use occlude_render::sampling::SamplerKind;
+use occlude_visibility::Visibility;
+use occlude_visibility::quantized::{
+    BoundingSphere, ErrorReach, Guarantee, Pairing, Quantized, QuantizedSettings, Share,
+};
+use std::time::{Duration, Instant};
+
+/// A scene ready to be rendered.
+pub struct Stage<'a> {
+    pub geometry: &'a Geometry<'a>,
+    pub lights: &'a Lights,
+    /// The view in a size.
+    pub view: &'a dyn Fn([u32; 2]) -> View,
+    pub bounds: BoundingSphere,
+}
+
+/// What is rendered.
+#[derive(Clone, Copy)]
+pub struct Task {
+    pub integrator: Integrator,
+    pub size: [u32; 2],
+    pub samples: u32,
+    pub seed: u64,
+    /// One sample a pass, instead of as many as fit.
+    pub single_passes: bool,
+}
+
+/// What one rendering gave and took.
+pub struct Shot {
+    pub picture: Picture,
+    /// Wall clock and processor seconds, preparation of lights and tables included.
+    pub seconds: f64,
+    pub cpu_seconds: f64,
+    pub report: RenderReport,
+}
+
+impl Shot {
+    /// Questions a ray.
+    pub fn reduction(&self) -> f64 {
+        let stats = &self.report.visibility;
+        stats.queries as f64 / stats.traced.max(1) as f64
+    }
+}
+
+pub fn picture(film: &Film) -> Picture {
+    Picture {
+        width: film.width(),
+        height: film.height(),
+        pixels: film.develop().radiance,
+    }
+}
+
+impl<'a> Stage<'a> {
+    pub fn shoot<V: Visibility<Geometry<'a>>>(&self, visibility: &V, task: &Task) -> Shot {
+        self.watch(visibility, task, &mut |_| ())
+    }
+
+    /// The same; `at_rest` sees the film after every pass.
+    pub fn watch<V: Visibility<Geometry<'a>>>(
+        &self,
+        visibility: &V,
+        task: &Task,
+        at_rest: &mut dyn FnMut(&Film),
+    ) -> Shot {
+        let world = World {
+            geometry: self.geometry,
+            lights: self.lights,
+        };
+        let view = (self.view)(task.size);
+        let settings = RenderSettings {
+            integrator: task.integrator,
+            sampler: SamplerKind::default(),
+            filter: PixelFilter::Box,
+            seed: task.seed,
+            samples: 0..task.samples,
+            // Where time is limited, instant radiosity goes sample by sample.
+            time_limit: task.single_passes.then_some(Duration::from_secs(1 << 24)),
+            noise: None,
+        };
+        let mut film = Film::new(view.width(), view.height(), false);
+        let (start, cpu) = (Instant::now(), process_seconds());
+        let report = render(
+            &world,
+            &view,
+            visibility,
+            &settings,
+            &mut film,
+            &Job::new(),
+            at_rest,
+        );
+        Shot {
+            seconds: start.elapsed().as_secs_f64(),
+            cpu_seconds: process_seconds() - cpu,
+            picture: picture(&film),
+            report,
+        }
+    }
+
+    /// Quantized visibility as the command line sets it up, for an integrator and a number of samples; `change` may differ.
+    pub fn quantized(
+        &self,
+        task: &Task,
+        guarantee: Guarantee,
+        change: impl FnOnce(&mut QuantizedSettings),
+    ) -> Quantized {
+        let many = matches!(task.integrator, Integrator::InstantRadiosity(_));
+        // As `occlude render` chooses: tiles remember enough for themselves where all pixels ask about the same lights.
+        let (share, table_bytes) = if many && guarantee != Guarantee::Consistent {
+            (Share::Tile, 4 << 20)
+        } else {
+            (Share::All, 256 << 20)
+        };
+        let mut settings = QuantizedSettings {
+            guarantee,
+            share,
+            table_bytes,
+            samples_per_pixel: task.samples,
+            seed: task.seed,
+            pairing: match task.integrator {
+                Integrator::Bidirectional(_) => Pairing::Both,
+                _ => Pairing::Eye,
+            },
+            ..QuantizedSettings::default()
+        };
+        change(&mut settings);
+        Quantized::new(settings, self.bounds).expect("legal settings")
+    }
+}
+
+/// Instant radiosity at the command line's defaults.
+pub fn instant_radiosity(max_depth: u32, vpls: u32) -> Integrator {
+    Integrator::InstantRadiosity(InstantRadiosity {
+        max_depth,
+        vpls,
+        clamp: None,
+        compensate: false,
+    })
+}
+
+/// An error reach in which points and exact directions keep theirs unless they are all there is, as the paper's curves do.
+pub fn reach(error: f32, delta_alone: bool) -> ErrorReach {
+    let usual = ErrorReach::default();
+    if delta_alone {
+        ErrorReach::all(error)
+    } else {
+        ErrorReach {
+            point: usual.point,
+            direction: usual.direction,
+            ..ErrorReach::all(error)
+        }
+    }
+}
+
+/// Renders both ways in turn (exact, cached, cached, exact, ...), `repetitions` times each.
+pub fn interleave(
+    repetitions: usize,
+    mut exact: impl FnMut() -> Shot,
+    mut cached: impl FnMut() -> Shot,
+) -> (Series, Series) {
+    let (mut exacts, mut cacheds) = (Vec::new(), Vec::new());
+    for repetition in 0..repetitions {
+        if repetition % 2 == 0 {
+            exacts.push(exact());
+            cacheds.push(cached());
+        } else {
+            cacheds.push(cached());
+            exacts.push(exact());
+        }
+    }
+    (Series(exacts), Series(cacheds))
+}
+
+/// Repetitions of one rendering; at least one.
+pub struct Series(pub Vec<Shot>);
+
+impl Series {
+    pub fn last(&self) -> &Shot {
+        self.0.last().expect("at least one repetition")
+    }
+
+    /// Median of the wall clock and spread.
+    pub fn seconds(&self) -> (f64, f64) {
+        median(&self.0.iter().map(|shot| shot.seconds).collect::<Vec<_>>())
+    }
+}
