@@ -3,12 +3,13 @@
 //! The questions are those of a real rendering, recorded and asked again on one thread: once with fresh memory, and once more
 //! with a table that knows all answers, so that look-ups with refinement are all that is left.
 
-use super::measured::{Clocked, ManyCall, Measured, Part, Recording, Replay};
+use super::measured::{Clocked, ManyCall, Measured, Part, Replay};
 use super::shot::{Stage, Task, instant_radiosity};
 use super::subject::Subject;
 use super::{Plan, fixed, short};
 use crate::common::{Report, Row, Setting, median, thread_seconds};
 use occlude_render::geometry::Geometry;
+use occlude_render::integrator::{Integrator, PathLimits};
 use occlude_visibility::quantized::{Digest, Guarantee, Quantized, Share};
 use occlude_visibility::{BLOCK, Epoch, Exact, Query, Tracer, Visibility};
 
@@ -34,7 +35,15 @@ pub fn run(setting: &Setting, plan: &Plan, report: &mut Report, subject: &Subjec
     let recorder = Measured::recording(&Exact, most);
     stage.shoot(&recorder, &task);
     let shading = recorder.ledger().many.shading_ns();
-    let recording = recorder.into_recording();
+    let shared = recorder.into_recording();
+    // Path tracing asks about one light a vertex.
+    let recorder = Measured::recording(&Exact, most / 20);
+    let paths = Task {
+        integrator: Integrator::Path(PathLimits::new(subject.max_depth)),
+        ..task
+    };
+    stage.shoot(&recorder, &paths);
+    let single = recorder.into_recording().single;
     let mut cost = Cost {
         report,
         scene: subject.name,
@@ -42,9 +51,11 @@ pub fn run(setting: &Setting, plan: &Plan, report: &mut Report, subject: &Subjec
         repetitions,
     };
     cost.row("shading, a light, SIMD", &[shading], 0, 0, None);
-    cost.rays(&recording.many);
-    cost.many(stage, &task, &recording.many);
-    cost.single(stage, &task, &recording);
+    cost.rays(&shared.many);
+    cost.many(stage, &task, &shared.many);
+    let written = written(&shared.many, most / 20);
+    cost.single(stage, &task, "the same questions one by one", &written);
+    cost.single(stage, &paths, "of paths", &single);
 }
 
 struct Cost<'a, 'g> {
@@ -186,64 +197,60 @@ impl Cost<'_, '_> {
         }
     }
 
-    /// One word a question: the same questions, so that what blocks save can be seen, and those that are single by nature.
-    fn single(&mut self, stage: &Stage, task: &Task, recording: &Recording) {
-        const MOST: usize = 4_000_000;
-        let mut written: Vec<(Epoch, Vec<Query>)> = Vec::new();
-        let mut count = 0;
-        // Light by light in blocks, as the default of `answer_many` would write them down.
-        for call in recording.many.iter().filter(|call| !call.eyes.is_empty()) {
-            for (block, lights) in call.lights.chunks(BLOCK).enumerate() {
-                if count > MOST {
-                    break;
-                }
-                let mut queries = Vec::new();
-                for (eye, &mask) in call.eyes.iter().zip(&call.wanted[block]) {
-                    let asked = lights
-                        .iter()
-                        .enumerate()
-                        .filter(|(l, _)| mask >> l & 1 != 0);
-                    queries.extend(asked.map(|(_, light)| light.query(eye)));
-                }
-                count += queries.len();
-                written.push((call.epoch, queries));
-            }
+    /// One word a question.
+    fn single(&mut self, stage: &Stage, task: &Task, what: &str, batches: &[(Epoch, Vec<Query>)]) {
+        if batches.iter().all(|(_, queries)| queries.is_empty()) {
+            return;
         }
-        for (what, batches) in [
-            ("the same questions one by one", &written),
-            ("single light samples", &recording.single),
-        ] {
-            if batches.iter().all(|(_, queries)| queries.is_empty()) {
-                continue;
-            }
-            for (bytes, _) in BARS {
-                for digest in [Digest::Separable, Digest::LcgXorshift, Digest::Lcg] {
-                    let strategy = stage.quantized(task, Guarantee::Bounded, |settings| {
-                        settings.share = Share::All;
-                        settings.table_bytes = bytes;
-                        settings.digest = digest;
-                    });
-                    ask_single(&strategy, self.geometry, batches);
-                    let mut ns = Vec::new();
-                    let mut known = Part::default();
-                    for _ in 0..self.repetitions {
-                        known = ask_single(&strategy, self.geometry, batches);
-                        ns.push(known.query_ns());
-                    }
-                    self.row(
-                        &format!(
-                            "question, words, table of {} MiB, known, {what}, {digest:?}",
-                            bytes >> 20
-                        ),
-                        &ns,
-                        known.queries,
-                        known.traced,
-                        None,
-                    );
+        for (bytes, _) in BARS {
+            for digest in [Digest::Separable, Digest::LcgXorshift, Digest::Lcg] {
+                let strategy = stage.quantized(task, Guarantee::Bounded, |settings| {
+                    settings.share = Share::All;
+                    settings.table_bytes = bytes;
+                    settings.digest = digest;
+                });
+                ask_single(&strategy, self.geometry, batches);
+                let mut ns = Vec::new();
+                let mut known = Part::default();
+                for _ in 0..self.repetitions {
+                    known = ask_single(&strategy, self.geometry, batches);
+                    ns.push(known.query_ns());
                 }
+                let size = bytes >> 20;
+                self.row(
+                    &format!("question, words, table of {size} MiB, known, {what}, {digest:?}"),
+                    &ns,
+                    known.queries,
+                    known.traced,
+                    None,
+                );
             }
         }
     }
+}
+
+/// Questions about blocks of lights written down one by one, as the default of `answer_many` does it; about `most`.
+fn written(calls: &[ManyCall], most: u64) -> Vec<(Epoch, Vec<Query>)> {
+    let mut batches = Vec::new();
+    let mut count = 0;
+    for call in calls {
+        for (block, lights) in call.lights.chunks(BLOCK).enumerate() {
+            if count >= most {
+                return batches;
+            }
+            let mut queries = Vec::new();
+            for (eye, &mask) in call.eyes.iter().zip(&call.wanted[block]) {
+                let asked = lights
+                    .iter()
+                    .enumerate()
+                    .filter(|(l, _)| mask >> l & 1 != 0);
+                queries.extend(asked.map(|(_, light)| light.query(eye)));
+            }
+            count += queries.len() as u64;
+            batches.push((call.epoch, queries));
+        }
+    }
+    batches
 }
 
 /// Asks all recorded blocks again on this thread.

@@ -105,7 +105,9 @@ pub fn run(
         let (shade, ray) = (e.shading_ns(), e.ray_ns());
         let (query, miss) = (c.query_ns(), c.ray_ns());
         let bound = (shade + ray) / (shade + query + miss / reduction);
-        let without_rays = clocked.cpu_seconds / (clocked.cpu_seconds - e.rays).max(1e-9);
+        // Of the wall clock of all threads, since that is what the parts were measured by.
+        let threads = clocked.seconds * rayon::current_num_threads() as f64;
+        let without_rays = threads / (threads - e.rays).max(1e-9);
         let of_the_bound = faster / bound;
         let refined: Vec<String> = cached_stats
             .refined
