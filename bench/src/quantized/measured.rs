@@ -5,7 +5,7 @@
 //! those of one thread each and add up over threads.
 
 use occlude_visibility::{
-    BlockAnswers, Class, Epoch, EyeSample, ManyLights, Query, Ray, SharedLight, Tracer, Visibility,
+    Class, Correction, Epoch, EyeSample, ManyLights, Query, Ray, SharedLight, Tracer, Visibility,
     VisibilityStats,
 };
 use std::cell::Cell;
@@ -204,9 +204,9 @@ impl ManyLights for ClockedAsker<'_> {
         }
     }
 
-    fn take(&mut self, block: usize, wanted: &[u16], answers: &[BlockAnswers]) {
+    fn take(&mut self, block: usize, visible: &[u16], corrections: &[Correction]) {
         let start = Instant::now();
-        self.inner.take(block, wanted, answers);
+        self.inner.take(block, visible, corrections);
         self.seconds += start.elapsed().as_secs_f64();
     }
 }
@@ -333,8 +333,8 @@ impl ManyLights for Replay<'_> {
         wanted.copy_from_slice(&self.0.wanted[block]);
     }
 
-    fn take(&mut self, _: usize, _: &[u16], answers: &[BlockAnswers]) {
-        std::hint::black_box(answers);
+    fn take(&mut self, _: usize, visible: &[u16], _: &[Correction]) {
+        std::hint::black_box(visible);
     }
 }
 
@@ -344,15 +344,15 @@ mod tests {
     use glam::Vec3;
     use occlude_visibility::{BLOCK, Endpoint, Exact, LightEnd};
 
-    struct Sum(f32);
+    struct Sum(u32);
 
     impl ManyLights for Sum {
         fn wanted(&mut self, _: usize, wanted: &mut [u16]) {
             wanted.fill(0b11);
         }
 
-        fn take(&mut self, _: usize, _: &[u16], answers: &[BlockAnswers]) {
-            self.0 += answers.iter().flatten().sum::<f32>();
+        fn take(&mut self, _: usize, visible: &[u16], _: &[Correction]) {
+            self.0 += visible.iter().map(|v| v.count_ones()).sum::<u32>();
         }
     }
 
@@ -381,9 +381,9 @@ mod tests {
             inner: Default::default(),
             epoch: Epoch::default(),
         };
-        let mut sum = Sum(0.0);
+        let mut sum = Sum(0);
         measured.answer_many(&tracer, &mut worker, &eyes, &lights, &mut sum);
-        assert_eq!(sum.0, 4.0);
+        assert_eq!(sum.0, 4);
         let part = measured.ledger().many;
         assert_eq!((part.queries, part.traced), (6, 6));
         assert!(part.rays >= 1.2e-3 && part.rays <= part.total);

@@ -422,14 +422,14 @@ impl<T: Tracer> Visibility<T> for ShadowMaps {
         asker: &mut dyn ManyLights,
     ) {
         let mut wanted = vec![0u16; eyes.len()];
-        let mut answers = vec![[0.0; BLOCK]; eyes.len()];
+        let mut seen = vec![0u16; eyes.len()];
         for (block, lights) in lights.chunks(BLOCK).enumerate() {
             wanted.fill(0);
             asker.wanted(block, &mut wanted);
-            answers.fill([0.0; BLOCK]);
+            seen.fill(0);
             for (l, light) in lights.iter().enumerate() {
                 let map = key(&light.end).and_then(|key| self.maps.get(&key));
-                for ((eye, mask), answers) in eyes.iter().zip(&wanted).zip(&mut answers) {
+                for ((eye, mask), seen) in eyes.iter().zip(&wanted).zip(&mut seen) {
                     if mask >> l & 1 == 0 {
                         continue;
                     }
@@ -442,10 +442,10 @@ impl<T: Tracer> Visibility<T> for ShadowMaps {
                             !tracer.occluded(&ray)
                         }
                     };
-                    answers[l] = if visible { 1.0 } else { 0.0 };
+                    *seen |= u16::from(visible) << l;
                 }
             }
-            asker.take(block, &wanted, &answers);
+            asker.take(block, &seen, &[]);
         }
         worker.answered = worker.queries - worker.traced;
     }
