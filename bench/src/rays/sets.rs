@@ -3,30 +3,9 @@
 use super::scene::Soup;
 use glam::Vec3;
 use occlude_bvh::{Accel, NoFilter};
+use occlude_testkit::random::Random;
 use occlude_visibility::{Hit, Ray, offset_along_normal};
 use std::f32::consts::TAU;
-
-/// SplitMix64 (Steele, Lea, Flood 2014).
-pub struct Random(u64);
-
-impl Random {
-    pub fn new(seed: u64) -> Self {
-        Self(seed)
-    }
-    pub fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ (z >> 31)
-    }
-    pub fn unit(&mut self) -> f32 {
-        (self.bits() >> 40) as f32 / (1u64 << 24) as f32
-    }
-    pub fn below(&mut self, n: usize) -> usize {
-        (self.bits() % n as u64) as usize
-    }
-}
 
 /// What is asked about a ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -129,7 +108,7 @@ fn link(from: &Surface, to: &Surface) -> Ray {
 
 /// All sets of a scene, `size * size` rays each; `None` if the camera sees nothing.
 pub fn make(soup: &Soup, accel: &Accel, size: usize) -> Option<Vec<Set>> {
-    let mut random = Random::new(77);
+    let mut random = Random(77);
     let primary = primary(soup, size);
     let seen = surfaces(soup, accel, &primary);
     if seen.is_empty() {

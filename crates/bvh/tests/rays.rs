@@ -48,7 +48,7 @@ fn instances_match_flattened_and_brute_force() {
     let instances: Vec<InstanceInput> = (0..40)
         .map(|k| InstanceInput {
             mesh: k % 4,
-            world_from_object: random.transform(),
+            world_from_object: transform(&mut random),
         })
         .collect();
     let build = |flatten| {

@@ -212,7 +212,7 @@ fn a_refit_answers_as_a_new_build() {
     let instances: Vec<InstanceInput> = (0..3)
         .map(|_| InstanceInput {
             mesh: 0,
-            world_from_object: random.transform(),
+            world_from_object: transform(&mut random),
         })
         .collect();
     let moved = soup
@@ -221,7 +221,7 @@ fn a_refit_answers_as_a_new_build() {
     let later: Vec<InstanceInput> = (0..3)
         .map(|_| InstanceInput {
             mesh: 0,
-            world_from_object: random.transform(),
+            world_from_object: transform(&mut random),
         })
         .collect();
     for flatten in [occlude_bvh::Flatten::Always, occlude_bvh::Flatten::Never] {

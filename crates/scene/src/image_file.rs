@@ -12,7 +12,7 @@ use std::io::Cursor;
 /// No image has more pixels a side.
 const MAX_SIDE: u32 = 1 << 16;
 /// Bytes that one image may take if nothing else was said.
-const MAX_BYTES: u64 = 1 << 30;
+pub(crate) const MAX_BYTES: u64 = 1 << 30;
 
 /// Decodes an image file held in memory; 16-bit files keep their 16 bits, grey and RGB become RGBA.
 pub(crate) fn decode(bytes: &[u8], name: &str) -> Result<Image, String> {

@@ -11,6 +11,7 @@ mod facts;
 mod fingerprint;
 mod gltf;
 mod image_file;
+mod input;
 mod light;
 mod material;
 mod mesh;

@@ -11,6 +11,7 @@ use occlude_scene::procedural::{self, Name};
 use occlude_scene::{
     AlphaMode, Instance, MorphTarget, NormalMap, Pose, Scene, Skin, Skinning, Volume, write_glb,
 };
+use occlude_testkit::random::Random;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -61,21 +62,6 @@ static ALLOCATOR: Counting = Counting;
 /// No damaged file of a few kilobytes may take more.
 const MOST_BYTES: usize = 256 << 20;
 const LONGEST: Duration = Duration::from_secs(10);
-
-struct Rng(u64);
-
-impl Rng {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    fn below(&mut self, n: usize) -> usize {
-        (self.next() % n.max(1) as u64) as usize
-    }
-}
 
 /// A file to damage, and its kind.
 struct Seed {
@@ -294,7 +280,7 @@ const NUMBERS: [&str; 14] = [
     "0.5",
 ];
 
-fn mutate(rng: &mut Rng, seeds: &[Seed], which: usize) -> Vec<u8> {
+fn mutate(rng: &mut Random, seeds: &[Seed], which: usize) -> Vec<u8> {
     let mut b = seeds[which].bytes.clone();
     let times = [1, 1, 2, 4, 24][rng.below(5)];
     for _ in 0..times {
@@ -304,7 +290,7 @@ fn mutate(rng: &mut Rng, seeds: &[Seed], which: usize) -> Vec<u8> {
         let at = rng.below(b.len());
         match rng.below(12) {
             0..=2 => b[at] ^= 1 << rng.below(8),
-            3 => b[at] = rng.next() as u8,
+            3 => b[at] = rng.bits() as u8,
             4 => {
                 let value =
                     [0, u32::MAX, 1 << 31, 0x7fff_ffff, 0x7f80_0000, 0xffc0_0000][rng.below(6)];
@@ -438,7 +424,7 @@ fn damaged_files() {
     let (mut worst_time, mut worst_bytes) = (Duration::ZERO, 0);
     let start = Instant::now();
     for case in first..first + cases {
-        let mut rng = Rng(case.wrapping_mul(0xd6e8_feb8_6659_fd93));
+        let mut rng = Random(case.wrapping_mul(0xd6e8_feb8_6659_fd93));
         let which = rng.below(seeds.len());
         let extension = &seeds[which].extension;
         let bytes = mutate(&mut rng, &seeds, which);

@@ -9,7 +9,8 @@
 //! * [`estimate`]: means with their uncertainty, Student's and Welch's t-tests;
 //! * [`picture`]: the same for every pixel of a picture, and for blocks of pixels;
 //! * [`golden`]: pictures to look at when a test fails;
-//! * [`oracle`]: rays against triangles by brute force, in double precision.
+//! * [`oracle`]: rays against triangles by brute force, in double precision;
+//! * [`random`]: seeded numbers for test cases.
 
 pub mod chi2;
 pub mod distribution;
@@ -17,3 +18,4 @@ pub mod estimate;
 pub mod golden;
 pub mod oracle;
 pub mod picture;
+pub mod random;

@@ -3,41 +3,18 @@
 
 use glam::{Affine3A, DVec3, Quat, Vec3};
 use occlude_bvh::{Accel, BuildOptions, InstanceInput, MeshInput, Simd};
+pub use occlude_testkit::random::Random;
 use occlude_visibility::{Hit, Ray};
 
-/// SplitMix64 (Steele, Lea, Flood 2014).
-pub struct Random(pub u64);
-
-impl Random {
-    pub fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ (z >> 31)
-    }
-    pub fn unit(&mut self) -> f32 {
-        (self.bits() >> 40) as f32 / (1u64 << 24) as f32
-    }
-    pub fn below(&mut self, n: usize) -> usize {
-        (self.bits() % n as u64) as usize
-    }
-    pub fn point(&mut self) -> Vec3 {
-        Vec3::new(self.unit(), self.unit(), self.unit()) * 2.0 - 1.0
-    }
-    pub fn direction(&mut self) -> Vec3 {
-        loop {
-            let p = self.point();
-            if (0.01..1.0).contains(&p.length_squared()) {
-                return p.normalize();
-            }
-        }
-    }
-    pub fn transform(&mut self) -> Affine3A {
-        let scale = Vec3::new(0.3 + self.unit(), 0.3 + self.unit(), -0.3 - self.unit());
-        let rotation = Quat::from_axis_angle(self.direction(), 6.0 * self.unit());
-        Affine3A::from_scale_rotation_translation(scale, rotation, self.point() * 3.0)
-    }
+/// A random rotation, translation and mirroring scale.
+pub fn transform(random: &mut Random) -> Affine3A {
+    let scale = Vec3::new(
+        0.3 + random.unit(),
+        0.3 + random.unit(),
+        -0.3 - random.unit(),
+    );
+    let rotation = Quat::from_axis_angle(random.direction(), 6.0 * random.unit());
+    Affine3A::from_scale_rotation_translation(scale, rotation, random.point() * 3.0)
 }
 
 /// A mesh that owns its arrays.

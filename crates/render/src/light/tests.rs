@@ -6,33 +6,8 @@ use occlude_image::Picture;
 use occlude_scene::{
     AlphaMode, Image, Instance, Material, Mesh, Node, PosedInstance, Texels, Texture, TextureRef,
 };
+pub(super) use occlude_testkit::random::Random;
 use std::f32::consts::PI;
-
-/// SplitMix64.
-pub(super) struct Random(pub(super) u64);
-
-impl Random {
-    pub(super) fn next(&mut self) -> f32 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 40) as f32 / (1 << 24) as f32
-    }
-
-    pub(super) fn pair(&mut self) -> Vec2 {
-        Vec2::new(self.next(), self.next())
-    }
-
-    pub(super) fn direction(&mut self) -> Vec3 {
-        loop {
-            let v = Vec3::new(self.next(), self.next(), self.next()) * 2.0 - 1.0;
-            if v.length_squared() < 1.0 && v.length_squared() > 1e-4 {
-                return v.normalize();
-            }
-        }
-    }
-}
 
 /// A scene of emissive meshes, one instance each: triangles, emission, double-sided.
 pub(super) fn scene_of(meshes: Vec<(Vec<[Vec3; 3]>, Vec3, bool)>) -> (Scene, Pose) {
@@ -124,7 +99,7 @@ pub(super) fn irradiance(
     let n = 100_000;
     let (mut sum, mut squares) = (0.0_f64, 0.0_f64);
     for _ in 0..n {
-        let pick = random.next();
+        let pick = random.unit();
         if let Some(s) = lights.sample(scene, position, normal, pick, random.pair()) {
             let value = f64::from(s.radiance.x * normal.dot(s.wi).max(0.0) / s.pdf);
             sum += value;
@@ -427,7 +402,7 @@ fn degenerate_lights_are_harmless() {
             Vec3::splat(1e30),
         ] {
             for _ in 0..1000 {
-                let pick = random.next();
+                let pick = random.unit();
                 if let Some(s) = lights.sample(&scene, position, Vec3::ZERO, pick, random.pair()) {
                     assert!(
                         s.pdf > 0.0
@@ -584,7 +559,7 @@ fn check_environment(lights: &Lights, scene: &Scene, normal: Vec3, what: &str) {
     let mut random = Random(4242);
     let mut counts = vec![0.0_f64; COLUMNS * ROWS];
     for _ in 0..n {
-        let pick = random.next();
+        let pick = random.unit();
         let Some(s) = lights.sample(scene, Vec3::ZERO, normal, pick, random.pair()) else {
             continue;
         };
@@ -620,7 +595,7 @@ fn picture(width: usize, height: usize, pixels: Vec<[f32; 3]>) -> Picture {
 fn noise_map(width: usize, height: usize) -> Picture {
     let mut random = Random(5);
     let pixels = (0..width * height)
-        .map(|_| [random.next().powi(6) * 50.0, random.next(), random.next()])
+        .map(|_| [random.unit().powi(6) * 50.0, random.unit(), random.unit()])
         .collect();
     picture(width, height, pixels)
 }

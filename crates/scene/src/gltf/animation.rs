@@ -3,7 +3,8 @@
 use super::accessor::Shape;
 use super::document as json;
 use super::hierarchy::{self, Hierarchy, node_place};
-use super::source::{Budget, Source};
+use super::source::Source;
+use crate::input::Budget;
 use crate::{
     Channel, Clip, Interpolation, Motion, RestTransform, RestWeights, SceneError, Target, Warning,
 };

@@ -4,7 +4,8 @@
 //! warning, for a scene with a wrong texture is still worth seeing.
 
 use super::document::{TextureInfo, TextureTransform};
-use super::source::{Budget, Source};
+use super::source::Source;
+use crate::input::Budget;
 use crate::{
     Filter, Image, Sampler, SceneError, Texels, Texture, TextureRef, Warning, Wrap, image_file,
 };

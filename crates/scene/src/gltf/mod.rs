@@ -18,13 +18,14 @@ mod meshopt;
 mod source;
 mod tangents;
 
+use crate::input::Budget;
 use crate::{Contents, Instance, Material, Mesh, Pose, Scene, SceneError, Warning};
 use accessor::Shape;
 use glam::{Affine3A, Vec3};
 use hierarchy::{Hierarchy, node_place};
 use images::Textures;
 use rayon::prelude::*;
-use source::{Budget, Source};
+use source::Source;
 use std::path::Path;
 
 const RE_EXPORT: &str = "export the file again";

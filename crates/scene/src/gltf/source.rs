@@ -3,6 +3,7 @@
 use super::document::Document;
 use super::meshopt;
 use crate::SceneError;
+use crate::input::{Budget, leaves_folder, read_file};
 use base64::Engine;
 use base64::engine::{DecodePaddingMode, GeneralPurpose, GeneralPurposeConfig};
 use rayon::prelude::*;
@@ -11,37 +12,6 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 const RE_EXPORT: &str = "export the file again";
-
-/// Counts what loading will allocate against the user's limit, before it is allocated.
-#[derive(Debug)]
-pub(super) struct Budget {
-    path: PathBuf,
-    limit: Option<u64>,
-    used: u64,
-}
-
-impl Budget {
-    pub fn new(path: &Path, limit: Option<u64>) -> Self {
-        Self {
-            path: path.to_path_buf(),
-            limit,
-            used: 0,
-        }
-    }
-
-    /// Takes note that `bytes` more are about to be allocated.
-    pub fn reserve(&mut self, bytes: u64) -> Result<(), SceneError> {
-        self.used = self.used.saturating_add(bytes);
-        match self.limit {
-            Some(limit) if self.used > limit => Err(SceneError::Memory {
-                path: self.path.clone(),
-                needed: self.used,
-                limit,
-            }),
-            _ => Ok(()),
-        }
-    }
-}
 
 /// A document with its bytes at hand.
 #[derive(Debug)]
@@ -296,16 +266,8 @@ impl Source {
         if uri.is_empty() || uri.contains('\0') {
             return refuse("it is not a file name");
         }
-        let mut depth = 0i64;
-        for part in uri.split('/') {
-            depth += match part {
-                ".." => -1,
-                "." | "" => 0,
-                _ => 1,
-            };
-            if depth < 0 {
-                return refuse("it leaves the folder of the scene");
-            }
+        if leaves_folder(&uri) {
+            return refuse("it leaves the folder of the scene");
         }
         Ok(self.path.parent().unwrap_or(Path::new("")).join(uri))
     }
@@ -314,19 +276,6 @@ impl Source {
     pub fn fault(&self, place: &str, what: &str, cure: &str) -> SceneError {
         SceneError::invalid(&self.path, place, what, cure)
     }
-}
-
-fn read_file(path: &Path, budget: &mut Budget) -> Result<Vec<u8>, SceneError> {
-    let read = |source| SceneError::Read {
-        path: path.to_path_buf(),
-        source,
-    };
-    let facts = std::fs::metadata(path).map_err(read)?;
-    if !facts.is_file() {
-        return Err(read(std::io::Error::other("not a file")));
-    }
-    budget.reserve(facts.len())?;
-    std::fs::read(path).map_err(read)
 }
 
 /// Where JSON and BIN are. A file that does not begin as GLB is all JSON.

@@ -1,8 +1,9 @@
 //! Vertices and faces.
 
+use super::Counted;
 use super::polygon::triangulate;
 use super::text::{lines, numbers, split};
-use super::{Budget, Counted};
+use crate::input::Budget;
 use crate::{Mesh, SceneError};
 use glam::{Vec2, Vec3, Vec4};
 use std::collections::{BTreeMap, HashMap, HashSet};
@@ -84,7 +85,7 @@ pub(super) fn parse(
                 let mut n = numbers(rest);
                 let u = n.next().unwrap_or(f32::NAN);
                 let v = n.next().unwrap_or(0.0);
-                p.budget.take(8)?;
+                p.budget.reserve(8)?;
                 // OBJ counts v from the bottom of the image, glTF from the top.
                 p.uv.push(if u.is_finite() && v.is_finite() {
                     Vec2::new(u, 1.0 - v)
@@ -96,7 +97,7 @@ pub(super) fn parse(
             }
             "vn" => {
                 let n: Vec<f32> = numbers(rest).take(3).collect();
-                p.budget.take(12)?;
+                p.budget.reserve(12)?;
                 p.normals.push(match n[..] {
                     [x, y, z] => Vec3::new(x, y, z).normalize_or_zero(),
                     _ => Vec3::ZERO,
@@ -145,7 +146,7 @@ impl Parser<'_> {
                 line,
             );
         }
-        self.budget.take(12)?;
+        self.budget.reserve(12)?;
         self.positions.push(position);
         // x y z r g b; with seven numbers the fourth is a weight. A fourth alone is a weight too and means nothing here.
         let color = match count {
@@ -154,11 +155,11 @@ impl Parser<'_> {
             _ => None,
         };
         if color.is_some() && self.colors.is_empty() {
-            self.budget.take(16 * self.positions.len() as u64)?;
+            self.budget.reserve(16 * self.positions.len() as u64)?;
             self.colors.resize(self.positions.len() - 1, Vec4::ONE);
         }
         if color.is_some() || !self.colors.is_empty() {
-            self.budget.take(16)?;
+            self.budget.reserve(16)?;
             let c = color.filter(|c| c.is_finite()).unwrap_or(Vec3::ONE);
             self.colors.push(c.clamp(Vec3::ZERO, Vec3::ONE).extend(1.0));
         }
@@ -219,7 +220,7 @@ impl Parser<'_> {
             let mut key =
                 triangle.map(|i| (self.outline[i] + Vec3::ZERO).to_array().map(f32::to_bits));
             key.sort_unstable();
-            self.budget.take(48)?;
+            self.budget.reserve(48)?;
             if !part.seen.insert(key) {
                 self.warn.add(
                     "triangle that coincides with an earlier one of its mesh, dropped",
@@ -233,7 +234,7 @@ impl Parser<'_> {
                 *slot = match part.known.get(&corner) {
                     Some(&known) => known,
                     None => {
-                        self.budget.take(72)?;
+                        self.budget.reserve(72)?;
                         let new = part.mesh.positions.len() as u32;
                         part.known.insert(corner, new);
                         let [v, t, n] = corner.map(|i| i as usize);

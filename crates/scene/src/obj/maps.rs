@@ -1,7 +1,8 @@
 //! Pictures that materials refer to: read once, and turned into what glTF's material model wants.
 
 use super::mtl::Map;
-use super::{Budget, beside};
+use super::read_beside;
+use crate::input::Budget;
 use crate::{
     Filter, Image, Sampler, SceneError, Texels, Texture, TextureRef, Warning, Wrap, image_file,
 };
@@ -135,28 +136,14 @@ impl<'a> Maps<'a> {
 
     /// Reads a picture. One that cannot be read is named and becomes magenta, so that it is seen.
     fn decode(&mut self, file: &str) -> Result<Image, SceneError> {
-        let read = beside(self.folder, file).and_then(|path| {
-            let facts = std::fs::metadata(&path).map_err(|e| e.to_string())?;
-            if facts.is_file() {
-                Ok((path, facts.len()))
-            } else {
-                Err("not a file".into())
-            }
+        let decoded = read_beside(self.folder, file, self.budget)?.and_then(|bytes| {
+            let left = self.budget.left().unwrap_or(image_file::MAX_BYTES);
+            image_file::decode_within(&bytes, file, left)
         });
-        let decoded = match read {
-            Ok((path, length)) => {
-                self.budget.take(length)?;
-                let left = self.budget.left();
-                std::fs::read(&path)
-                    .map_err(|e| e.to_string())
-                    .and_then(|bytes| image_file::decode_within(&bytes, file, left))
-            }
-            Err(why) => Err(why),
-        };
         match decoded {
             Ok(image) => {
                 self.budget
-                    .take(u64::from(image.width) * u64::from(image.height) * 4)?;
+                    .reserve(u64::from(image.width) * u64::from(image.height) * 4)?;
                 Ok(image)
             }
             Err(why) => {

@@ -15,6 +15,7 @@ mod polygon;
 mod surface;
 mod text;
 
+use crate::input::{Budget, leaves_folder, read_file};
 use crate::{Instance, Material, Node, Scene, SceneError, Warning};
 use geometry::{Geometry, is_closed};
 use glam::Affine3A;
@@ -25,12 +26,8 @@ use std::path::{Path, PathBuf};
 
 /// Loads an OBJ file and the MTL files and pictures that it names.
 pub(crate) fn load(path: &Path, memory_limit: Option<u64>) -> Result<Scene, SceneError> {
-    let mut budget = Budget {
-        path: path.to_path_buf(),
-        limit: memory_limit,
-        used: 0,
-    };
-    let bytes = read(path, &mut budget)?;
+    let mut budget = Budget::new(path, memory_limit);
+    let bytes = read_file(path, &mut budget)?;
     let mut warn = Counted::default();
     let geometry = geometry::parse(&bytes, &mut warn, &mut budget)?;
     drop(bytes);
@@ -73,15 +70,7 @@ fn libraries(
                 continue;
             }
             seen.push(name);
-            let bytes = match beside(folder, name) {
-                Ok(file) => match read(&file, budget) {
-                    Ok(bytes) => Ok(bytes),
-                    Err(SceneError::Read { source, .. }) => Err(source.to_string()),
-                    Err(other) => return Err(other),
-                },
-                Err(why) => Err(why),
-            };
-            match bytes {
+            match read_beside(folder, name, budget)? {
                 Ok(bytes) => {
                     let mut warn = Counted::default();
                     library.read(&bytes, &mut warn);
@@ -198,17 +187,18 @@ fn without_uv(scene: &mut Scene) {
     }
 }
 
-fn read(path: &Path, budget: &mut Budget) -> Result<Vec<u8>, SceneError> {
-    let error = |source| SceneError::Read {
-        path: path.to_path_buf(),
-        source,
-    };
-    let facts = std::fs::metadata(path).map_err(error)?;
-    if !facts.is_file() {
-        return Err(error(std::io::Error::other("not a file")));
+/// The bytes of a file named in another, or why there are none; an error only where the memory limit ends the whole load.
+fn read_beside(
+    folder: &Path,
+    name: &str,
+    budget: &mut Budget,
+) -> Result<Result<Vec<u8>, String>, SceneError> {
+    match beside(folder, name).map(|file| read_file(&file, budget)) {
+        Ok(Ok(bytes)) => Ok(Ok(bytes)),
+        Ok(Err(SceneError::Read { source, .. })) => Ok(Err(source.to_string())),
+        Ok(Err(other)) => Err(other),
+        Err(why) => Ok(Err(why)),
     }
-    budget.take(facts.len())?;
-    std::fs::read(path).map_err(error)
 }
 
 /// The path of a file named in another, which must lie in the same folder or below. Absolute names, as exporters on other
@@ -221,16 +211,8 @@ fn beside(folder: &Path, name: &str) -> Result<PathBuf, String> {
     if name.starts_with('/') || name.get(1..3) == Some(":/") {
         return beside(folder, name.rsplit('/').next().unwrap_or_default());
     }
-    let mut depth = 0i64;
-    for part in name.split('/') {
-        depth += match part {
-            ".." => -1,
-            "." | "" => 0,
-            _ => 1,
-        };
-        if depth < 0 {
-            return Err("outside of the folder of the scene".into());
-        }
+    if leaves_folder(&name) {
+        return Err("outside of the folder of the scene".into());
     }
     Ok(folder.join(name))
 }
@@ -246,32 +228,6 @@ fn warning(place: &str, what: &str) -> Warning {
     Warning {
         place: line(place),
         what: line(what),
-    }
-}
-
-/// Counts allocations against the limit before they are made.
-struct Budget {
-    path: PathBuf,
-    limit: Option<u64>,
-    used: u64,
-}
-
-impl Budget {
-    fn take(&mut self, bytes: u64) -> Result<(), SceneError> {
-        self.used = self.used.saturating_add(bytes);
-        match self.limit {
-            Some(limit) if self.used > limit => Err(SceneError::Memory {
-                path: self.path.clone(),
-                needed: self.used,
-                limit,
-            }),
-            _ => Ok(()),
-        }
-    }
-
-    fn left(&self) -> u64 {
-        self.limit
-            .map_or(1 << 30, |limit| limit.saturating_sub(self.used))
     }
 }
 

@@ -104,7 +104,7 @@ fn sample(
     scene: &Scene,
     random: &mut Random,
 ) -> Option<Emitted> {
-    let pick = random.next();
+    let pick = random.unit();
     emission.sample(lights, scene, pick, random.pair(), random.pair())
 }
 
@@ -289,9 +289,9 @@ fn connections_state_the_density_of_light_sampling() {
     let lights = Lights::new(&scene, &pose, Some(sky()), LightSelection::Tree);
     let mut random = Random(8);
     for _ in 0..4000 {
-        let position = random.direction() * 3.0 * random.next();
+        let position = random.direction() * 3.0 * random.unit();
         let normal = random.direction();
-        let (pick, u) = (random.next(), random.pair());
+        let (pick, u) = (random.unit(), random.pair());
         let Some(sample) = lights.sample(&scene, position, normal, pick, u) else {
             continue;
         };

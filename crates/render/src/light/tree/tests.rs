@@ -10,16 +10,16 @@ use occlude_scene::{LightKind, Pose, Scene};
 fn many_lights(count: usize, seed: u64) -> (Scene, Pose) {
     let mut random = Random(seed);
     let place = |random: &mut Random| {
-        let cluster = (random.next() * 5.0).floor();
-        Vec3::new(cluster * 4.0, random.next(), (cluster * 1.7).sin() * 3.0)
-            + random.direction() * random.next()
+        let cluster = (random.unit() * 5.0).floor();
+        Vec3::new(cluster * 4.0, random.unit(), (cluster * 1.7).sin() * 3.0)
+            + random.direction() * random.unit()
     };
     let mut meshes = Vec::new();
     for i in 0..3 {
         let triangles = (0..count / 5)
             .map(|_| {
                 let center = place(&mut random);
-                let size = 0.02 + random.next().powi(8);
+                let size = 0.02 + random.unit().powi(8);
                 std::array::from_fn(|_| center + random.direction() * size)
             })
             .collect();
@@ -30,11 +30,11 @@ fn many_lights(count: usize, seed: u64) -> (Scene, Pose) {
         let kind = match i % 3 {
             0 => LightKind::Spot {
                 inner_angle: 0.1,
-                outer_angle: 0.4 + random.next(),
+                outer_angle: 0.4 + random.unit(),
             },
             _ => LightKind::Point,
         };
-        let intensity = Vec3::splat(random.next().powi(6) * 3.0 + 0.01);
+        let intensity = Vec3::splat(random.unit().powi(6) * 3.0 + 0.01);
         pose.lights.push(punctual(
             kind,
             intensity,
@@ -99,9 +99,9 @@ fn picks_follow_the_pmf() {
         let mut random = Random(11);
         for round in 0..8 {
             let position = Vec3::new(
-                random.next() * 16.0,
-                random.next() * 3.0 - 1.0,
-                random.next() * 4.0 - 2.0,
+                random.unit() * 16.0,
+                random.unit() * 3.0 - 1.0,
+                random.unit() * 4.0 - 2.0,
             );
             let normal = if round % 2 == 0 {
                 random.direction()
@@ -112,7 +112,7 @@ fn picks_follow_the_pmf() {
             let n = 100_000;
             let mut counts = vec![0.0_f64; lights.len() + 1];
             for i in 0..n {
-                let x = (f64::from(i) + f64::from(random.next())) / f64::from(n);
+                let x = (f64::from(i) + f64::from(random.unit())) / f64::from(n);
                 match tree.pick(position, normal, &root, x) {
                     Some((light, pmf)) => {
                         let again = tree.pmf(position, normal, light);
@@ -166,9 +166,9 @@ fn no_light_that_gives_something_is_left_out() {
     let mut given = 0;
     for _ in 0..300 {
         let position = Vec3::new(
-            random.next() * 16.0,
-            random.next() * 2.0,
-            random.next() * 4.0 - 2.0,
+            random.unit() * 16.0,
+            random.unit() * 2.0,
+            random.unit() * 4.0 - 2.0,
         );
         let normal = random.direction();
         for light in 0..lights.points.len() {
@@ -231,7 +231,7 @@ fn the_tree_is_close_to_the_exhaustive_choice() {
     let mut total = 0.0;
     let rounds = 60;
     for _ in 0..rounds {
-        let position = Vec3::new(random.next() * 16.0, -0.5, random.next() * 4.0 - 2.0);
+        let position = Vec3::new(random.unit() * 16.0, -0.5, random.unit() * 4.0 - 2.0);
         let exhaustive = Exhaustive::new(&bounds, position, Vec3::Y);
         let sum: f64 = exhaustive.of_light.iter().map(|&p| f64::from(p)).sum();
         let squares: f64 = (0..bounds.len())
@@ -296,7 +296,7 @@ fn coincident_and_extreme_lights_are_safe() {
         Vec3::splat(f32::NAN),
     ] {
         for _ in 0..1000 {
-            let pick = random.next();
+            let pick = random.unit();
             if let Some(s) = lights.sample(&scene, position, Vec3::ZERO, pick, random.pair()) {
                 assert!(s.pdf > 0.0 && s.pdf <= 1.0 && s.radiance.is_finite());
                 found += 1;
