@@ -13,8 +13,12 @@ use occlude_render::integrator::{Integrator, PathLimits};
 use occlude_visibility::quantized::{Digest, Guarantee, Quantized, Share};
 use occlude_visibility::{BLOCK, Epoch, Exact, Query, Tracer, Visibility};
 
-/// What a cached question may cost with a table of 4 MB and of 256 MB, nanoseconds.
-const BARS: [(usize, f64); 2] = [(4 << 20, 3.0), (256 << 20, 12.0)];
+/// What a cached question may cost at default settings, and where a large table knows all answers; nanoseconds.
+const DEFAULT: f64 = 3.0;
+const LARGE_TABLE: f64 = 12.0;
+
+/// Bytes of the tables that are compared.
+const TABLES: [usize; 2] = [4 << 20, 256 << 20];
 
 const TITLE: &str = "Cost on one core, nanoseconds";
 const HEADER: &[&str] = &["scene", "what", "ns", "spread", "questions", "rays traced"];
@@ -32,12 +36,17 @@ pub fn run(setting: &Setting, plan: &Plan, report: &mut Report, subject: &Subjec
         seed: plan.seed,
         single_passes: false,
     };
+    // On one core, as all else here.
+    let alone = match rayon::ThreadPoolBuilder::new().num_threads(1).build() {
+        Ok(pool) => pool,
+        Err(error) => return report.note(format!("SKIPPED cost: {error}")),
+    };
     let recorder = Measured::recording(&Exact, most);
-    stage.shoot(&recorder, &task);
+    alone.install(|| stage.shoot(&recorder, &task));
     let shading = recorder.ledger().many.shading_ns();
     let shared = recorder.into_recording();
     // Path tracing asks about one light a vertex.
-    let recorder = Measured::recording(&Exact, most / 20);
+    let recorder = Measured::recording(&Exact, most / 100);
     let paths = Task {
         integrator: Integrator::Path(PathLimits::new(subject.max_depth)),
         ..task
@@ -53,7 +62,7 @@ pub fn run(setting: &Setting, plan: &Plan, report: &mut Report, subject: &Subjec
     cost.row("shading, a light, SIMD", &[shading], 0, 0, None);
     cost.rays(&shared.many);
     cost.many(stage, &task, &shared.many);
-    let written = written(&shared.many, most / 20);
+    let written = written(&shared.many, most / 100);
     cost.single(stage, &task, "the same questions one by one", &written);
     cost.single(stage, &paths, "of paths", &single);
 }
@@ -157,6 +166,7 @@ impl Cost<'_, '_> {
                 settings.table_bytes = bytes;
             })
         };
+        let (geometry, repetitions) = (self.geometry, self.repetitions);
         let mut ns = Vec::new();
         let mut last = Part::default();
         for _ in 0..self.repetitions {
@@ -168,32 +178,27 @@ impl Cost<'_, '_> {
             &ns,
             last.queries,
             last.traced,
-            Some(BARS[0].1),
+            Some(DEFAULT),
         );
-        for (bytes, bar) in BARS {
+        for bytes in TABLES {
             let strategy = cache(Share::All, bytes);
-            let fresh = ask_many(&strategy, self.geometry, calls.iter());
-            let mut ns = Vec::new();
-            let mut known = Part::default();
-            for _ in 0..self.repetitions {
-                known = ask_many(&strategy, self.geometry, calls.iter());
-                ns.push(known.query_ns());
-            }
             let size = bytes >> 20;
-            self.row(
-                &format!("question, blocks, shared table of {size} MiB, first asked"),
-                &[fresh.query_ns()],
-                fresh.queries,
-                fresh.traced,
-                None,
-            );
-            self.row(
-                &format!("question, blocks, shared table of {size} MiB, known"),
-                &ns,
-                known.queries,
-                known.traced,
-                Some(bar),
-            );
+            let mut row = |when: &str, ns: &[f64], part: Part, bar| {
+                let what = format!("question, blocks, shared table of {size} MiB, {when}");
+                self.row(&what, ns, part.queries, part.traced, bar);
+            };
+            let fresh = ask_many(&strategy, geometry, calls.iter());
+            row("first asked", &[fresh.query_ns()], fresh, None);
+            let mut again = |of: &dyn Fn() -> Part| {
+                let parts: Vec<Part> = (0..repetitions).map(|_| of()).collect();
+                let ns: Vec<f64> = parts.iter().map(Part::query_ns).collect();
+                (ns, parts[0])
+            };
+            let (ns, part) = again(&|| ask_again(&strategy, geometry, calls.iter()));
+            row("each tile asked again at once", &ns, part, None);
+            let (ns, part) = again(&|| ask_many(&strategy, geometry, calls.iter()));
+            let bar = (bytes == TABLES[1]).then_some(LARGE_TABLE);
+            row("the picture asked again", &ns, part, bar);
         }
     }
 
@@ -202,29 +207,29 @@ impl Cost<'_, '_> {
         if batches.iter().all(|(_, queries)| queries.is_empty()) {
             return;
         }
-        for (bytes, _) in BARS {
-            for digest in [Digest::Separable, Digest::LcgXorshift, Digest::Lcg] {
-                let strategy = stage.quantized(task, Guarantee::Bounded, |settings| {
-                    settings.share = Share::All;
-                    settings.table_bytes = bytes;
-                    settings.digest = digest;
-                });
-                ask_single(&strategy, self.geometry, batches);
-                let mut ns = Vec::new();
-                let mut known = Part::default();
-                for _ in 0..self.repetitions {
-                    known = ask_single(&strategy, self.geometry, batches);
-                    ns.push(known.query_ns());
-                }
-                let size = bytes >> 20;
-                self.row(
-                    &format!("question, words, table of {size} MiB, known, {what}, {digest:?}"),
-                    &ns,
-                    known.queries,
-                    known.traced,
-                    None,
-                );
+        let others = [Digest::LcgXorshift, Digest::Lcg].map(|digest| (TABLES[0], digest));
+        let ours = TABLES.map(|bytes| (bytes, Digest::Separable));
+        for (bytes, digest) in ours.into_iter().chain(others) {
+            let strategy = stage.quantized(task, Guarantee::Bounded, |settings| {
+                settings.share = Share::All;
+                settings.table_bytes = bytes;
+                settings.digest = digest;
+            });
+            ask_single(&strategy, self.geometry, batches);
+            let mut ns = Vec::new();
+            let mut known = Part::default();
+            for _ in 0..self.repetitions {
+                known = ask_single(&strategy, self.geometry, batches);
+                ns.push(known.query_ns());
             }
+            let size = bytes >> 20;
+            self.row(
+                &format!("question, words, table of {size} MiB, known, {what}, {digest:?}"),
+                &ns,
+                known.queries,
+                known.traced,
+                None,
+            );
         }
     }
 }
@@ -270,6 +275,27 @@ where
         measured.answer_many(geometry, &mut worker, &call.eyes, &call.lights, &mut replay);
     }
     measured.ledger().many
+}
+
+/// Asks each recorded call twice, and measures the second time.
+fn ask_again<'c, 'g>(
+    strategy: &Quantized,
+    geometry: &Geometry<'g>,
+    calls: impl Iterator<Item = &'c ManyCall>,
+) -> Part {
+    let (first, second) = (Measured::new(strategy), Measured::new(strategy));
+    let mut sides = [&first, &second].map(|measured| {
+        let worker = Visibility::<Geometry<'g>>::worker(measured);
+        (measured, worker)
+    });
+    for call in calls {
+        for (measured, worker) in &mut sides {
+            Visibility::<Geometry<'g>>::begin(*measured, worker, call.epoch);
+            let mut replay = Replay(call);
+            measured.answer_many(geometry, worker, &call.eyes, &call.lights, &mut replay);
+        }
+    }
+    second.ledger().many
 }
 
 /// Asks all recorded batches again on this thread.

@@ -40,6 +40,7 @@ const HEADER: &[&str] = &[
     "frame without rays",
     "bound",
     "of the bound",
+    "bound if memory were free",
 ];
 
 /// Measures a scene; shows its pictures if they are wanted.
@@ -109,6 +110,8 @@ pub fn run(
         let threads = clocked.seconds * rayon::current_num_threads() as f64;
         let without_rays = threads / (threads - e.rays).max(1e-9);
         let of_the_bound = faster / bound;
+        // What a memory that costs nothing, and misses as coherent as all rays, would allow.
+        let free_memory = (shade + ray) / (shade + ray / reduction);
         let refined: Vec<String> = cached_stats
             .refined
             .iter()
@@ -141,6 +144,7 @@ pub fn run(
                 fixed(without_rays),
                 fixed(bound),
                 percent(of_the_bound),
+                fixed(free_memory),
             ],
         );
         for (what, value, unit) in [
@@ -157,6 +161,7 @@ pub fn run(
             ("ray", ray, "ns"),
             ("shading", shade, "ns"),
             ("bound", bound, "1"),
+            ("bound_free_memory", free_memory, "1"),
         ] {
             report.raw(&format!(
                 "reduction,{},{samples},cached,,{what},{value:.6},{unit}",

@@ -22,7 +22,7 @@ pub struct Stage<'a> {
     pub geometry: &'a Geometry<'a>,
     pub lights: &'a Lights,
     /// The view in a size.
-    pub view: &'a dyn Fn([u32; 2]) -> View,
+    pub view: &'a (dyn Fn([u32; 2]) -> View + Sync),
     pub bounds: BoundingSphere,
 }
 
