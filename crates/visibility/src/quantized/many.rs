@@ -70,6 +70,10 @@ struct Level {
 #[derive(Clone, Copy, Debug, Default)]
 struct Word {
     answers: BlockWord,
+    /// Answers that differ from those of a neighbour, in the segment `compared`.
+    differs: u16,
+    /// Number of a segment, from 1; 0 for none.
+    compared: u8,
     /// The table behind has been asked.
     fetched: bool,
 }
@@ -123,11 +127,6 @@ pub(super) fn answer<T: Tracer>(
         asker.wanted(block, &mut scratch.wanted[..count]);
         scratch.visible[..count].fill(0);
         scratch.corrections.clear();
-        stats.queries += scratch.wanted[..count]
-            .iter()
-            .map(|wanted| u64::from(wanted.count_ones()))
-            .sum::<u64>();
-
         // Lights of one error reach are answered together; most blocks have one.
         let mut left = u16::MAX >> (BLOCK - lights.len());
         while left != 0 {
@@ -142,7 +141,7 @@ pub(super) fn answer<T: Tracer>(
             left &= !alike;
             let group = Group::new(strategy, lights, alike, light_passes, decisions.salt);
             let traced = stats.traced;
-            let mut asked = 0;
+            let asked;
             if extent.error > 0.0 && group.clustered {
                 let reach = scratch.reach(strategy, eyes, extent, eye_passes);
                 asked = scratch.answer_group(
@@ -150,8 +149,9 @@ pub(super) fn answer<T: Tracer>(
                 );
             } else {
                 scratch.trace_exactly(tracer, eyes, lights, alike, stats);
-                asked += stats.traced - traced;
+                asked = stats.traced - traced;
             }
+            stats.queries += asked;
             stats.answered += asked - (stats.traced - traced);
         }
         asker.take(block, &scratch.visible[..count], &scratch.corrections);
@@ -307,9 +307,9 @@ impl Scratch {
         let mut asked = 0;
         let error = reach.extent.map_or(1.0, |extent| extent.error);
         let first = eyes.len() as f32 / (error * error);
-        for segment in segments(eyes.len(), first) {
+        for (segment, range) in (1u8..).zip(segments(eyes.len(), first)) {
             self.active.clear();
-            for eye in segment {
+            for eye in range {
                 let wanted = self.wanted[eye] & group.lights;
                 asked += u64::from(wanted.count_ones());
                 if wanted != 0 {
@@ -326,7 +326,7 @@ impl Scratch {
                 self.trace(tracer, eyes, lights, Some((level, group)), stats);
                 self.store(level, group, behind, stats);
                 let last = depth + 1 == levels;
-                self.refine(level, depth, last, unbiased, decisions);
+                self.refine(level, segment, depth, last, unbiased, decisions);
                 if unbiased {
                     self.trace(tracer, eyes, lights, None, stats);
                 }
@@ -466,7 +466,8 @@ impl Scratch {
     /// Answers from the clusters; questions whose neighbours disagree go to the next level.
     fn refine(
         &mut self,
-        level: &Level,
+        level: &mut Level,
+        segment: u8,
         depth: usize,
         last: bool,
         unbiased: bool,
@@ -482,7 +483,7 @@ impl Scratch {
             let disagree = if last && !unbiased {
                 0
             } else {
-                active.lights & level.disagreement(cell)
+                active.lights & level.differs(cell, segment)
             };
             let mut settled = active.lights & !disagree;
             if last {
@@ -547,8 +548,18 @@ impl Claim {
 }
 
 impl Level {
-    /// Bits of known answers that differ from those of a known neighbour.
-    fn disagreement(&self, cell: usize) -> u16 {
+    /// Bits of known answers that differ from those of a known neighbour, found once a cell and segment: nothing new becomes
+    /// known while the eyes of a segment are answered.
+    #[inline]
+    fn differs(&mut self, cell: usize, segment: u8) -> u16 {
+        if self.words[cell].compared != segment {
+            self.compare(cell);
+            self.words[cell].compared = segment;
+        }
+        self.words[cell].differs
+    }
+
+    fn compare(&mut self, cell: usize) {
         let own = self.words[cell].answers;
         let differing = self.neighbours[cell]
             .iter()
@@ -558,7 +569,7 @@ impl Level {
                 other.known & (other.visible ^ own.visible)
             })
             .fold(0, |mask, differing| mask | differing);
-        differing & own.known
+        self.words[cell].differs = differing & own.known;
     }
 
     /// Finds the cell of each eye, and the neighbours of each cell.

@@ -240,7 +240,9 @@ fn closed<W: Wide, const KIND: u8>(
     let mut over = W::splat_bits(0);
     if KIND == PATCH {
         over = cosines.mul(arriving).greater(clamp);
-        arriving = arriving.min(clamp.div(cosines));
+        if over.any() {
+            arriving = arriving.min(clamp.div(cosines));
+        }
     }
     let root = cosines.sqrt();
     let (a, b) = (polynomial(&closed.a, root), polynomial(&closed.b, root));
@@ -402,9 +404,7 @@ fn shine<W: Wide, const KIND: u8, const SHAPE: u8>(
     for c in 0..3 {
         sums[c].store(&mut rows[c]);
     }
-    let mut bits = [0; WIDE];
-    bounded.store_bits(&mut bits);
-    (rows, bits != [0; WIDE])
+    (rows, bounded.any())
 }
 
 #[inline(always)]

@@ -31,6 +31,8 @@ pub(super) trait Wide: Copy {
     fn or(self, other: Self) -> Self;
     /// All bits where `self` has all of the bits of `other`.
     fn has(self, other: Self) -> Self;
+    /// Whether any highest bit is set.
+    fn any(self) -> bool;
 }
 
 /// The form of any machine.
@@ -118,6 +120,10 @@ impl Wide for Plain {
     #[inline(always)]
     fn has(self, other: Self) -> Self {
         self.zip_bits(other, |a, b| if a & b == b { u32::MAX } else { 0 })
+    }
+    #[inline(always)]
+    fn any(self) -> bool {
+        self.0.iter().any(|x| x.is_sign_negative())
     }
 }
 
@@ -226,6 +232,11 @@ mod avx2 {
             let (a, b) = (self.bits(), other.bits());
             // SAFETY: see `Avx2`.
             Self(unsafe { _mm256_castsi256_ps(_mm256_cmpeq_epi32(_mm256_and_si256(a, b), b)) })
+        }
+        #[inline(always)]
+        fn any(self) -> bool {
+            // SAFETY: see `Avx2`.
+            unsafe { _mm256_movemask_ps(self.0) != 0 }
         }
     }
 }
