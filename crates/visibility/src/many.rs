@@ -58,10 +58,8 @@ impl SharedLight {
     /// The question that one eye asks about the light.
     pub fn query(&self, eye: &EyeSample) -> Query {
         Query {
-            eye: eye.end,
-            light: self.end,
             connections: self.connections,
-            ray: self.ray_from(eye.origin),
+            ..Query::new(eye.end, self.end, self.ray_from(eye.origin))
         }
     }
 }

@@ -62,17 +62,21 @@ pub struct Query {
     /// have no density: times the probability of picking this light. Caches size their clusters by it; exact strategies
     /// ignore it.
     pub connections: f32,
+    /// What an open view would bring, at least 0, in any unit that the questions of a batch share. Strategies that estimate
+    /// ([`Class::Unbiased`]) spend their rays where it is large; others ignore it.
+    pub importance: f32,
     /// The ray that answers the question exactly: already moved off the surfaces at either end.
     pub ray: Ray,
 }
 
 impl Query {
-    /// A question that every eye sample asks once about this light ([`Query::connections`] is 1).
+    /// A question that every eye sample asks once about this light ([`Query::connections`] is 1), as important as others.
     pub fn new(eye: Endpoint, light: LightEnd, ray: Ray) -> Self {
         Self {
             eye,
             light,
             connections: 1.0,
+            importance: 1.0,
             ray,
         }
     }

@@ -153,6 +153,16 @@ impl QuantizedOptions {
             GuaranteeName::Unbiased => Guarantee::Unbiased,
             GuaranteeName::Consistent => Guarantee::Consistent,
         };
+        // Where checks mend errors on average, larger patches cost less than they err.
+        let usual_error = match (asks, guarantee) {
+            (Asks::Single, Guarantee::Unbiased) => ErrorReach {
+                point: 14.0,
+                direction: 14.0,
+                area: 40.0,
+                sky: 40.0,
+            },
+            _ => usual.error,
+        };
         // Tiles remember enough for themselves where they ask about the same lights in every pixel.
         let (share, table) = match (asks, guarantee) {
             (Asks::Many, Guarantee::Bounded | Guarantee::Unbiased) => (Share::Tile, 4 << 20),
@@ -165,10 +175,10 @@ impl QuantizedOptions {
         };
         QuantizedSettings {
             error: ErrorReach {
-                point: reach(self.point, usual.error.point),
-                direction: reach(self.direction, usual.error.direction),
-                area: reach(self.area, usual.error.area),
-                sky: reach(self.sky, usual.error.sky),
+                point: reach(self.point, usual_error.point),
+                direction: reach(self.direction, usual_error.direction),
+                area: reach(self.area, usual_error.area),
+                sky: reach(self.sky, usual_error.sky),
             },
             normals: self.normals.unwrap_or(usual.normals),
             slab: self.slab.unwrap_or(usual.slab),

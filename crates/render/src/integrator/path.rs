@@ -455,6 +455,7 @@ fn shade_hit(
                     let connections = if light.delta { light.pdf } else { 1.0 };
                     let query = Query {
                         connections,
+                        importance: contribution.element_sum(),
                         ..Query::new(eye, light.end, ray)
                     };
                     ask(query, contribution);

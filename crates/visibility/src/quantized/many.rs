@@ -141,16 +141,15 @@ pub(super) fn answer<T: Tracer>(
             left &= !alike;
             let group = Group::new(strategy, lights, alike, light_passes, decisions.salt);
             let traced = stats.traced;
-            let asked;
-            if extent.error > 0.0 && group.clustered {
+            let asked = if extent.error > 0.0 && group.clustered {
                 let reach = scratch.reach(strategy, eyes, extent, eye_passes);
-                asked = scratch.answer_group(
+                scratch.answer_group(
                     strategy, tracer, eyes, lights, &group, reach, behind, decisions, stats,
-                );
+                )
             } else {
                 scratch.trace_exactly(tracer, eyes, lights, alike, stats);
-                asked = stats.traced - traced;
-            }
+                stats.traced - traced
+            };
             stats.queries += asked;
             stats.answered += asked - (stats.traced - traced);
         }

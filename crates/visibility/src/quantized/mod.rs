@@ -189,6 +189,11 @@ impl Quantized {
 
     /// The key of a light end whose patch holds one sample of its technique (Eqs. 7 and 9).
     fn light_key(&self, light: &LightEnd, connections: f32, passes: f32) -> Option<LightKey> {
+        let least = match self.settings.guarantee {
+            // What a whole lamp's answer gets wrong comes back as noise, and not as blotches.
+            Guarantee::Unbiased => 1.0,
+            Guarantee::Bounded | Guarantee::Consistent => LEAST_PATCHES,
+        };
         match light {
             LightEnd::Point(position) => {
                 Some(LightKey::Point(position.to_array().map(f32::to_bits)))
@@ -199,11 +204,11 @@ impl Quantized {
             LightEnd::Surface(end) => {
                 let resolution = self
                     .grids
-                    .resolution(known(end.density * connections.max(LEAST_PATCHES))? * passes);
+                    .resolution(known(end.density * connections.max(least))? * passes);
                 self.surface_key(end, self.grids.quantize_light(resolution))
             }
             LightEnd::SolidAngle { direction, density } => {
-                let density = known(density * connections.max(LEAST_PATCHES))? * passes;
+                let density = known(density * connections.max(least))? * passes;
                 Some(self.grids.solid_angle(*direction, density))
             }
         }

@@ -41,7 +41,10 @@ impl Connection {
         let contribution = value * weight;
         let useful = contribution != Vec3::ZERO && contribution.is_finite();
         useful.then_some(Self {
-            query,
+            query: Query {
+                importance: contribution.element_sum(),
+                ..query
+            },
             contribution,
         })
     }

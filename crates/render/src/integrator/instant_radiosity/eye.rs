@@ -406,6 +406,7 @@ impl Harvest {
         };
         self.queries.push(Query {
             connections,
+            importance: brought.element_sum(),
             ..Query::new(end, light.end, ray)
         });
         self.pending.push((walk, brought));

@@ -130,6 +130,7 @@ pub(super) fn compensate<'a, V: Visibility<Geometry<'a>>>(
                     let connections = if light.delta { light.pdf } else { 1.0 };
                     queries.push(Query {
                         connections,
+                        importance: brought.element_sum(),
                         ..Query::new(end, light.end, ray)
                     });
                     pending.push((eye.sample, brought));
