@@ -68,6 +68,7 @@ impl Bsdf {
     /// All lobes on the side of `wo`.
     pub(super) fn eval_above(&self, wo: Vec3, wi: Vec3) -> (Vec3, f32) {
         let mut value = Vec3::ZERO;
+        let mut bounced = Vec3::ZERO;
         let mut pdf = 0.0;
         if self.pick.cosine > 0.0 {
             let cos = wi.z * FRAC_1_PI;
@@ -75,6 +76,9 @@ impl Bsdf {
             let through = self.through[0] + self.through[1] * e.a + self.through[2] * e.b;
             value += (self.diffuse * through + self.multiple * e.lost()) * cos;
             pdf += self.pick.cosine * cos;
+            if let Some(b) = &self.bounced {
+                bounced = b.reflected * (b.lost_above(wi.z) * cos);
+            }
         }
         if let Some(layers) = &self.layers
             && self.cover == Cover::Near
@@ -82,7 +86,7 @@ impl Bsdf {
             // The cosine lobe takes the normalised product (the rest of it is in `diffuse` and `multiple`), the others the minimum.
             value *= layers.through(wi);
             let (specular, p) = self.eval_specular(wo, wi);
-            value += specular * layers.dim(wi);
+            value += (specular + bounced) * layers.dim(wi);
             pdf += p;
             if self.pick.coat > 0.0 && !layers.coat_delta {
                 let (coat, p) = layers.eval_coat(wo, wi);
@@ -96,7 +100,7 @@ impl Bsdf {
             return (value, pdf);
         }
         let (specular, p) = self.eval_specular(wo, wi);
-        (value + specular, pdf + p)
+        (value + bounced + specular, pdf + p)
     }
 
     /// The reflecting GGX lobe of the base.
@@ -147,7 +151,19 @@ impl Bsdf {
                     p + self.pick.below * cos,
                 )
             }
-            Wall::Thick => self.eval_refraction(wo, wi),
+            Wall::Thick => {
+                let (value, pdf) = self.eval_refraction(wo, wi);
+                match &self.bounced {
+                    Some(b) => {
+                        let cos = -wi.z * FRAC_1_PI;
+                        (
+                            value + b.transmitted * (b.lost_below(-wi.z) * cos),
+                            pdf + self.pick.below * cos,
+                        )
+                    }
+                    None => (value, pdf),
+                }
+            }
         };
         (value * self.dim_transmission(wo, wi), pdf)
     }

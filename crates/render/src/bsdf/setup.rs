@@ -1,6 +1,7 @@
 //! From material parameters to lobes: what each lobe reflects towards one `wo`, and how often it is sampled.
 
 use super::albedo::{Row, Split};
+use super::boundary::{Bounced, Boundary, Side};
 use super::layers::Layers;
 use super::microfacet::{ALPHA_DELTA, GRAZING, g1_over_2cos, schlick_weight, smith_root};
 use super::{Bsdf, BsdfParameters, Cover, Pick, Wall, unit, unit_color};
@@ -77,6 +78,7 @@ impl Bsdf {
         f90: 0.0,
         tint: Vec3::ZERO,
         sheet: [0.0; 2],
+        bounced: None,
         pass: Vec3::ZERO,
         glass: [Vec3::ZERO; 2],
         glass_scale: 0.0,
@@ -210,6 +212,18 @@ impl Bsdf {
             transmitted = facet.transmit;
             glass_reflected = facet.reflect
                 - (bsdf.f0 + (Vec3::splat(bsdf.f90) - bsdf.f0) * schlick_weight(wo.z));
+            if !delta {
+                let boundary = Boundary::new(ior, roughness, bsdf.glass_scale);
+                let side = if parameters.entering {
+                    Side::Outside
+                } else {
+                    Side::Inside
+                };
+                let kept = 1.0 - boundary.lost(side, wo.z);
+                transmitted *= kept;
+                glass_reflected *= kept;
+                bsdf.bounced = Bounced::new(boundary, ior, side, wo.z, color, base, glass_share);
+            }
         } else if glass_share > 0.0 {
             bsdf.pass = base * glass_share;
         }
@@ -222,7 +236,11 @@ impl Bsdf {
         let mut specular =
             bsdf.f0 * e.a + Vec3::splat(bsdf.f90) * e.b + glass_reflected + transmitted;
         let dim = layers.as_ref().map_or(1.0, |l| l.through_o);
-        let below = bsdf.below * (lost_mean * dim);
+        let mut below = bsdf.below * (lost_mean * dim);
+        if let Some(bounced) = &bsdf.bounced {
+            cosine += bounced.reflected_albedo;
+            below += bounced.transmitted_albedo * dim;
+        }
         let pass = bsdf.pass * dim;
         let (mut coat, mut sheen) = (0.0, Vec3::ZERO);
         if let Some(layers) = &layers {

@@ -129,9 +129,12 @@ impl Bsdf {
         self.lambert.then_some(self.diffuse)
     }
 
-    /// The closed form of a broad part; `None` if it has layers, which have none.
+    /// The closed form of a broad part; `None` if it has layers or a rough boundary, which have none.
     pub(crate) fn broad(&self) -> Option<Broad> {
-        if self.layers.is_some() || self.wall != Wall::Opaque && self.pick.specular > 0.0 {
+        if self.layers.is_some()
+            || self.bounced.is_some()
+            || self.wall != Wall::Opaque && self.pick.specular > 0.0
+        {
             return None;
         }
         let cosine = if self.pick.cosine > 0.0 {
@@ -201,12 +204,13 @@ mod tests {
         let mut all = vec![base];
         for roughness in [0.0, 0.2, 0.39, 0.41, 0.55, 0.8, 1.0] {
             for metallic in [0.0, 0.4, 1.0] {
-                for transmission in [0.0, 0.5] {
+                for (transmission, thin) in [(0.0, true), (0.5, true), (0.5, false)] {
                     for (clearcoat, clearcoat_roughness) in [(0.0, 0.0), (1.0, 0.0), (0.7, 0.6)] {
                         all.push(BsdfParameters {
                             roughness,
                             metallic,
                             transmission,
+                            thin,
                             clearcoat,
                             clearcoat_roughness,
                             ..base
