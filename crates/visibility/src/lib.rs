@@ -54,7 +54,7 @@ mod stats;
 mod tracer;
 
 pub use exact::{Exact, ExactWorker};
-pub use many::{BLOCK, Correction, EyeSample, ManyLights, SharedLight};
+pub use many::{BLOCK, Correction, EveryLight, EyeSample, ManyLights, SharedLight};
 pub use occluder::{Occluder, OccluderWorker};
 pub use query::{Class, Endpoint, Epoch, LightEnd, Query, Visibility};
 pub use session::Session;

@@ -31,6 +31,16 @@ pub struct EyeSample {
     pub origin: Vec3,
 }
 
+impl EyeSample {
+    /// A place that no ray leaves into its own surface, among `density` samples per square unit.
+    pub fn new(position: Vec3, normal: Vec3, density: f32) -> Self {
+        Self {
+            end: Endpoint::new(position, normal, density),
+            origin: position,
+        }
+    }
+}
+
 /// A light that many eyes ask about.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SharedLight {
@@ -43,6 +53,15 @@ pub struct SharedLight {
 }
 
 impl SharedLight {
+    /// A point light that every eye asks about.
+    pub fn point(position: Vec3) -> Self {
+        Self {
+            end: LightEnd::Point(position),
+            target: Some(position),
+            connections: 1.0,
+        }
+    }
+
     /// The ray that answers an eye's question about the light.
     pub fn ray_from(&self, origin: Vec3) -> Ray {
         match (self.target, self.end) {
@@ -74,6 +93,29 @@ pub trait ManyLights {
     /// Takes the answers about block `block`: bit `l` of `visible[e]` is set if light `l` is seen from eye `e`, and never where
     /// it was not wanted. Strategies that estimate ([`Class::Unbiased`](crate::Class::Unbiased)) add `corrections` to some of the answers.
     fn take(&mut self, block: usize, visible: &[u16], corrections: &[Correction]);
+}
+
+/// Every eye asks about every light: `(number of lights, what to do)`. What to do is called with the numbers of an eye and a light and the
+/// light's visibility, for all pairs that are not 0, some perhaps in several parts that add up.
+#[derive(Clone, Copy, Debug)]
+pub struct EveryLight<F: FnMut(usize, usize, f32)>(pub usize, pub F);
+
+impl<F: FnMut(usize, usize, f32)> ManyLights for EveryLight<F> {
+    fn wanted(&mut self, block: usize, wanted: &mut [u16]) {
+        let rest = self.0.saturating_sub(block * BLOCK).min(BLOCK);
+        wanted.fill(((1u32 << rest) - 1) as u16);
+    }
+
+    fn take(&mut self, block: usize, visible: &[u16], corrections: &[Correction]) {
+        for (eye, &visible) in visible.iter().enumerate() {
+            for light in bits(visible) {
+                self.1(eye, block * BLOCK + light, 1.0);
+            }
+        }
+        for &Correction { eye, light, amount } in corrections {
+            self.1(eye as usize, block * BLOCK + light as usize, amount);
+        }
+    }
 }
 
 /// The numbers of the bits that are set.
