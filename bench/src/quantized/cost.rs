@@ -189,7 +189,7 @@ impl Cost<'_, '_> {
             };
             let fresh = ask_many(&strategy, geometry, calls.iter());
             row("first asked", &[fresh.query_ns()], fresh, None);
-            let mut again = |of: &dyn Fn() -> Part| {
+            let again = |of: &dyn Fn() -> Part| {
                 let parts: Vec<Part> = (0..repetitions).map(|_| of()).collect();
                 let ns: Vec<f64> = parts.iter().map(Part::query_ns).collect();
                 (ns, parts[0])
