@@ -194,4 +194,9 @@ impl Series {
     pub fn seconds(&self) -> (f64, f64) {
         median(&self.0.iter().map(|shot| shot.seconds).collect::<Vec<_>>())
     }
+    /// Median of processor seconds: other programs disturb it less.
+    pub fn cpu_seconds(&self) -> f64 {
+        let all: Vec<f64> = self.0.iter().map(|shot| shot.cpu_seconds).collect();
+        median(&all).0
+    }
 }
