@@ -2,7 +2,7 @@
 
 use super::plot::{Curve, Plot};
 use super::quality::quality;
-use super::shot::{Stage, Task, instant_radiosity, interleave, reach};
+use super::shot::{Stage, Task, interleave, reach};
 use super::subject::Subject;
 use super::{Plan, fixed, percent};
 use crate::common::{Report, Setting};
@@ -51,7 +51,7 @@ impl Curves {
         };
         for samples in [9, 1] {
             let task = Task {
-                integrator: instant_radiosity(subject.max_depth, subject.vpls(setting)),
+                integrator: subject.integrator(setting),
                 size: plan.part(2),
                 samples,
                 seed: plan.seed,

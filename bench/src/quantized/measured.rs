@@ -82,6 +82,17 @@ impl Part {
         self.shading += other.shading;
     }
 
+    /// The same with all times multiplied: by the share of the clock that the processor was really at work, where other
+    /// programs took the rest.
+    pub fn scaled(self, factor: f64) -> Self {
+        Self {
+            total: self.total * factor,
+            rays: self.rays * factor,
+            shading: self.shading * factor,
+            ..self
+        }
+    }
+
     /// Nanoseconds of the strategy itself, a question.
     pub fn query_ns(&self) -> f64 {
         1e9 * (self.total - self.rays - self.shading) / self.queries as f64

@@ -3,7 +3,7 @@
 use super::figure;
 use super::measured::Measured;
 use super::quality::quality;
-use super::shot::{Stage, Task, instant_radiosity, interleave};
+use super::shot::{Stage, Task, interleave};
 use super::subject::Subject;
 use super::{Plan, fixed, percent, short};
 use crate::common::{Report, Row, Setting};
@@ -28,6 +28,7 @@ const HEADER: &[&str] = &[
     "faster",
     "spread",
     "faster, processor time",
+    "cores at work",
     "FLIP",
     "FLIP 99 %",
     "worst block",
@@ -56,7 +57,7 @@ pub fn run(
     let samples = plan.samples.clone();
     for (index, &samples) in samples.iter().enumerate() {
         let task = Task {
-            integrator: instant_radiosity(subject.max_depth, subject.vpls(setting)),
+            integrator: subject.integrator(setting),
             size: plan.size,
             samples,
             seed: plan.seed,
@@ -73,8 +74,9 @@ pub fn run(
         let clocked = stage.shoot(&timed_exact, &task);
         let strategy = cache();
         let timed_cached = Measured::new(&strategy);
-        stage.shoot(&timed_cached, &task);
-        let (e, c) = (timed_exact.ledger().all(), timed_cached.ledger().all());
+        let clocked_cached = stage.shoot(&timed_cached, &task);
+        let e = timed_exact.ledger().all().scaled(clocked.busy());
+        let c = timed_cached.ledger().all().scaled(clocked_cached.busy());
 
         let (exact_stats, cached_stats) = (
             &exact.last().report.visibility,
@@ -107,10 +109,11 @@ pub fn run(
         let (shade, ray) = (e.shading_ns(), e.ray_ns());
         let (query, miss) = (c.query_ns(), c.ray_ns());
         let bound = (shade + ray) / (shade + query + miss / reduction);
-        // Of the wall clock of all threads, since that is what the parts were measured by.
-        let threads = clocked.seconds * rayon::current_num_threads() as f64;
-        let without_rays = threads / (threads - e.rays).max(1e-9);
-        let of_the_bound = faster / bound;
+        let without_rays = clocked.cpu_seconds / (clocked.cpu_seconds - e.rays).max(1e-9);
+        // Costs are processor time, so this is too: other programs disturb it less than the clock.
+        let faster_cpu = exact.cpu_seconds() / cached.cpu_seconds();
+        let busy = exact.last().busy().min(cached.last().busy());
+        let of_the_bound = faster_cpu / bound;
         // What a memory that costs nothing, and misses as coherent as all rays, would allow.
         let free_memory = (shade + ray) / (shade + ray / reduction);
         let refined: Vec<String> = cached_stats
@@ -132,7 +135,8 @@ pub fn run(
                 fixed(cached_s),
                 fixed(faster),
                 format!("{:.2}", exact_spread.max(cached_spread)),
-                fixed(exact.cpu_seconds() / cached.cpu_seconds()),
+                fixed(faster_cpu),
+                percent(busy),
                 format!("{:.4}", quality.flip),
                 format!("{:.3}", quality.flip_99),
                 format!("{:.3}", quality.flip_block),

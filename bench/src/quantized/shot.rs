@@ -47,6 +47,12 @@ pub struct Shot {
 }
 
 impl Shot {
+    /// Share of the clock of all threads that they were at work: below 1 where there was nothing to do, or other programs ran.
+    pub fn busy(&self) -> f64 {
+        let clock = self.seconds * rayon::current_num_threads() as f64;
+        (self.cpu_seconds / clock).min(1.0)
+    }
+
     /// Questions a ray.
     pub fn reduction(&self) -> f64 {
         let stats = &self.report.visibility;

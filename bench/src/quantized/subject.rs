@@ -1,12 +1,13 @@
 //! The scenes of the suite, and what is rendered of each.
 
-use super::shot::Stage;
+use super::shot::{Stage, instant_radiosity};
 use crate::common::{Report, Setting};
 use glam::{Affine3A, Vec3};
 use occlude_bvh::BuildOptions;
 use occlude_image::Picture;
 use occlude_render::camera::View;
 use occlude_render::geometry::Geometry;
+use occlude_render::integrator::{Integrator, PathLimits};
 use occlude_render::light::{Environment, LightSelection, Lights};
 use occlude_scene::{Light, LightKind, Node, Pose, Scene, procedural};
 use occlude_visibility::quantized::BoundingSphere;
@@ -210,6 +211,16 @@ impl Subject {
         };
         let topics = topics.iter().filter(|topic| setting.wants_topic(topic));
         topics.copied().collect()
+    }
+
+    /// How it is rendered where both sides are compared.
+    pub fn integrator(&self, setting: &Setting) -> Integrator {
+        if self.name == "conference" {
+            // Lamps with extent: each eye sample asks about one point of one lamp.
+            Integrator::Path(PathLimits::new(self.max_depth))
+        } else {
+            instant_radiosity(self.max_depth, self.vpls(setting))
+        }
     }
 
     pub fn vpls(&self, setting: &Setting) -> u32 {
