@@ -108,6 +108,8 @@ pub fn run(
         let faster = exact_s / cached_s;
         let (shade, ray) = (e.shading_ns(), e.ray_ns());
         let (query, miss) = (c.query_ns(), c.ray_ns());
+        // Paths shade outside of the clocked calls: there is no bound by these costs then.
+        let shade = if shade > 0.0 { shade } else { f64::NAN };
         let bound = (shade + ray) / (shade + query + miss / reduction);
         let without_rays = clocked.cpu_seconds / (clocked.cpu_seconds - e.rays).max(1e-9);
         // Costs are processor time, so this is too: other programs disturb it less than the clock.
