@@ -31,6 +31,9 @@ pub struct Stats {
     /// What rendering did.
     #[serde(flatten, skip_serializing_if = "Option::is_none")]
     pub work: Option<Work>,
+    /// With `--frames`: one by one, those of this run.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub frames: Vec<Frame>,
     /// Memory of the whole process.
     pub memory: Memory,
 }
@@ -100,6 +103,24 @@ pub struct Work {
     pub clamped_energy: Option<f64>,
 }
 
+/// One picture of a sequence.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Frame {
+    /// Its number.
+    pub frame: u32,
+    /// Wall-clock seconds, from posing to written files.
+    pub seconds: f64,
+    /// Of these, rendering alone.
+    pub work: f64,
+    /// Visibility questions.
+    pub queries: u64,
+    /// Rays traced for them.
+    pub traced: u64,
+    /// Instant radiosity: virtual lights that the frame before did not have.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub vpls_renewed: Option<u32>,
+}
+
 /// Rays by kind.
 #[derive(Debug, Clone, Copy, Default, Serialize)]
 pub struct Rays {
@@ -164,6 +185,7 @@ impl Stats {
             seconds: Seconds::default(),
             scene_counts: None,
             work: None,
+            frames: Vec::new(),
             memory: Memory {
                 peak_bytes: 0,
                 limit_bytes,

@@ -49,6 +49,61 @@ impl fmt::Display for Size {
     }
 }
 
+/// Frames at most: more is a mistake, not a film.
+const MAX_FRAMES: u32 = 1_000_000;
+
+/// Frames of a sequence, `A..B` with both, or one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Frames {
+    pub first: u32,
+    pub last: u32,
+}
+
+impl Frames {
+    /// From one frame to another, both included.
+    pub fn new(first: u32, last: u32) -> Result<Self, String> {
+        if last < first {
+            return Err(format!("'{first}..{last}' runs backwards"));
+        }
+        if last - first >= MAX_FRAMES {
+            return Err(format!("'{first}..{last}': at most {MAX_FRAMES} frames"));
+        }
+        Ok(Self { first, last })
+    }
+
+    pub fn count(self) -> u32 {
+        self.last - self.first + 1
+    }
+}
+
+impl FromStr for Frames {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wanted = || format!("'{text}' is not FIRST..LAST, for example 0..59");
+        let (first, last) = text.split_once("..").unwrap_or((text, text));
+        let first = decimal(first).ok_or_else(wanted)?;
+        let last = decimal(last).ok_or_else(wanted)?;
+        Self::new(first, last)
+    }
+}
+
+/// Blocks of virtual lights that are drawn anew for every frame; `None`: all.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Renewal(pub Option<u32>);
+
+impl FromStr for Renewal {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "all" => Ok(Self(None)),
+            _ => (decimal(text).map(|blocks| Self(Some(blocks))))
+                .ok_or_else(|| format!("'{text}' is neither a whole number nor all")),
+        }
+    }
+}
+
 /// A whole number written with digits alone (no sign, no spaces).
 fn decimal<T: FromStr>(text: &str) -> Option<T> {
     (!text.is_empty() && text.bytes().all(|b| b.is_ascii_digit())).then(|| text.parse().ok())?

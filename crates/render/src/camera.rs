@@ -152,6 +152,19 @@ impl View {
         } else {
             Vec3::Y
         };
+        Self::look_at_with_up(eye, target, up, yfov, width, height)
+    }
+
+    /// As [`View::look_at`], with `up` shown upwards. `None` also if `up` lies along the view.
+    pub fn look_at_with_up(
+        eye: Vec3,
+        target: Vec3,
+        up: Vec3,
+        yfov: f32,
+        width: u32,
+        height: u32,
+    ) -> Option<Self> {
+        let back = (eye - target).try_normalize()?;
         let right = up.cross(back).try_normalize()?;
         let world_from_camera = Affine3A::from_cols(
             right.into(),

@@ -57,10 +57,14 @@ pub struct Pose {
     pub lights: Vec<PosedLight>,
 }
 
-impl Pose {
-    /// The scene at `time` (seconds): all animations of the file played together, held before their first and after
-    /// their last key.
-    pub fn at(scene: &Scene, time: f32) -> Self {
+/// Where the nodes are at one time, without the vertices that hang on them.
+pub(crate) struct Joints {
+    pub(crate) world_from_node: Vec<Affine3A>,
+    pub(crate) weights: Vec<RestWeights>,
+}
+
+impl Joints {
+    pub(crate) fn at(scene: &Scene, time: f32) -> Self {
         let mut rest = scene.motion.rest.clone();
         let mut weights = scene.motion.weights.clone();
         for channel in scene.motion.clips.iter().flat_map(|c| &c.channels) {
@@ -79,7 +83,21 @@ impl Pose {
                 None => parent_from_node,
             });
         }
+        Self {
+            world_from_node,
+            weights,
+        }
+    }
+}
 
+impl Pose {
+    /// The scene at `time` (seconds): all animations of the file played together, held before their first and after
+    /// their last key.
+    pub fn at(scene: &Scene, time: f32) -> Self {
+        let Joints {
+            world_from_node,
+            weights,
+        } = Joints::at(scene, time);
         let mut instances: Vec<PosedInstance> = Vec::with_capacity(scene.instances.len());
         let mut deforming = Vec::new();
         for (i, instance) in scene.instances.iter().enumerate() {
@@ -206,7 +224,7 @@ fn apply(channel: &Channel, time: f32, rest: &mut [RestTransform], weights: &mut
     }
 }
 
-fn weights_of(weights: &[RestWeights], node: u32) -> &[f32] {
+pub(crate) fn weights_of(weights: &[RestWeights], node: u32) -> &[f32] {
     match weights.binary_search_by_key(&node, |w| w.node) {
         Ok(i) => &weights[i].weights,
         Err(_) => &[],

@@ -12,6 +12,7 @@
 //! | [`Exact`] | exact | trace every question |
 //! | [`Occluder`] | exact | test the last blocker first |
 //! | [`Quantized`](quantized::Quantized) | bounded, unbiased or consistent | one ray for each pair of patches |
+//! | [`TwoPart`](two_part::TwoPart) | as `Quantized` | remembers what stands still, traces what moves |
 //!
 //! Answers are `f32` estimates, not booleans: weighted averages lie in `[0, 1]`, unbiased estimators may leave it.
 //!
@@ -52,6 +53,7 @@ mod query;
 mod session;
 mod stats;
 mod tracer;
+pub mod two_part;
 
 pub use exact::{Exact, ExactWorker};
 pub use many::{BLOCK, Correction, EveryLight, EyeSample, ManyLights, SharedLight};

@@ -213,6 +213,13 @@ pub trait Visibility<T: Tracer>: Sync {
         }
     }
 
+    /// Tells the strategy that a picture of a sequence is done, and that the next questions belong to another one. What it
+    /// remembers stays valid: the tracer's geometry stands still. Workers of the last picture are done for. Does nothing by default.
+    fn next_picture(&mut self) {}
+
+    /// Makes the strategy forget: the tracer's geometry is about to change. Does nothing by default.
+    fn forget(&mut self) {}
+
     /// The counters of a worker.
     fn stats(&self, worker: &Self::Worker) -> VisibilityStats;
 

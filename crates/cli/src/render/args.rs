@@ -4,7 +4,7 @@ use super::strategy::{self, GuaranteeName, Strategy};
 use crate::error::CliError;
 use crate::output;
 use crate::picture::{Aov, aovs};
-use crate::values::{self, Look as CameraLook, Shard, Size, Sun};
+use crate::values::{self, Frames, Look as CameraLook, Renewal, Shard, Size, Sun};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Args, ValueEnum};
 use occlude_image::{Format, ToneMap};
@@ -13,6 +13,9 @@ use std::time::Duration;
 
 /// Samples a pixel when nothing else says when to stop.
 const DEFAULT_SAMPLES: u32 = 64;
+
+/// Vertical field of view, degrees, of cameras that the user describes.
+const DEFAULT_FOV: f32 = 40.0;
 
 /// Virtual lights at most.
 const MAX_VPLS: u32 = 1 << 20;
@@ -26,13 +29,16 @@ const MAX_SAMPLES: u32 = 1 << 24;
   occlude render sponza.glb -o sponza.png
   occlude render room.glb -o room.exr -o room.png --samples 256 --size 1920x1080
   occlude render statue.obj --environment sky.hdr --time-limit 30s -o statue.png
+  occlude render walk.glb --frames 0..95 --fps 24 -o walk_####.png
+  occlude render sponza.glb --camera-path tour.json --integrator instant-radiosity --visibility quantized -o tour_####.png
   occlude render big.glb -o part1.exr --shard 1/4    (then: occlude merge part*.exr -o big.exr)")]
 pub struct RenderArgs {
     /// Scene: .glb, .gltf or .obj
     pub scene: PathBuf,
 
     /// Picture to write, by its ending: .exr and .hdr hold scene-linear Rec. 709 radiance, .png is exposed and tone
-    /// mapped (see --tonemap). May be given several times [default: the scene's name with .png, in this folder]
+    /// mapped (see --tonemap). May be given several times. Of frames, #### becomes the number [default: the scene's name with
+    /// .png, in this folder]
     #[arg(short, long = "output", value_name = "FILE", help_heading = "Output")]
     pub output: Vec<PathBuf>,
 
@@ -85,9 +91,29 @@ pub struct RenderArgs {
     )]
     pub camera_look: Option<CameraLook>,
 
-    /// Vertical field of view of --camera-look in degrees
-    #[arg(long, value_name = "DEG", default_value = "40", value_parser = values::field_of_view, allow_negative_numbers = true, requires = "camera_look", help_heading = "View")]
-    pub fov: f32,
+    /// Cameras of frames, as JSON: [{"frame": 0, "eye": [x,y,z], "target": [x,y,z], "fov": DEG}, ...], linear between these keys,
+    /// held before and after; "fov" and "up" may be left out. {"interpolation": "smooth", "keys": [...]} passes through
+    /// the keys without corners
+    #[arg(long, value_name = "FILE.json", conflicts_with_all = ["camera", "camera_look", "time"], help_heading = "View")]
+    pub camera_path: Option<PathBuf>,
+
+    /// Vertical field of view of --camera-look, and of --camera-path where it says nothing, in degrees [default: 40]
+    #[arg(long, value_name = "DEG", value_parser = values::field_of_view, allow_negative_numbers = true, help_heading = "View")]
+    pub fov: Option<f32>,
+
+    /// Render frames FIRST to LAST, both included, at times frame / --fps, each into a file of its own; a run that was cut off
+    /// goes on behind its last whole frame with --resume [default: one picture, or all keys of --camera-path]
+    #[arg(
+        long,
+        value_name = "FIRST..LAST",
+        conflicts_with = "time",
+        help_heading = "View"
+    )]
+    pub frames: Option<Frames>,
+
+    /// Frames a second of the file's animations
+    #[arg(long, value_name = "N", default_value = "24", value_parser = values::positive, allow_negative_numbers = true, help_heading = "View")]
+    pub fps: f32,
 
     /// Scene of the file, by name or by index from 0 [default: the file's own choice]
     #[arg(long, value_name = "NAME|INDEX", help_heading = "View")]
@@ -129,8 +155,8 @@ pub struct RenderArgs {
 
     /// exact: trace every shadow ray; occluder: try the last blocker first (the picture is the same);
     /// quantized[:NAME=VALUE,...]: one ray for each pair of patches. Its options: error (reach of errors in samples across;
-    /// error-point, error-direction, error-area, error-sky by kind of light), refine=auto|off|LEVELS, share=tile|thread|all
-    /// (tile: the same bytes at any number of threads), table=SIZE, normals, slab, resolution-step,
+    /// error-point, error-direction, error-area, error-sky by kind of light), refine=auto|off|LEVELS, share=tile|thread|all|frames
+    /// (tile: the same bytes at any number of threads; frames: those, too, and frames know what earlier ones have learnt), table=SIZE, normals, slab, resolution-step,
     /// digest=separable|lcg|lcg-xorshift
     #[arg(long, value_name = "STRATEGY", value_parser = strategy::strategy, default_value = "exact", help_heading = "Work")]
     pub visibility: Strategy,
@@ -176,6 +202,16 @@ pub struct RenderArgs {
     #[arg(long, help_heading = "Work")]
     pub compensate: bool,
 
+    /// With --frames: blocks of 16 virtual lights that are drawn anew for every frame, or all. The others stay while nothing but
+    /// the camera moves [default: 1 with quantized visibility, else all]
+    #[arg(
+        long,
+        value_name = "N|all",
+        allow_negative_numbers = true,
+        help_heading = "Work"
+    )]
+    pub renew_vpls: Option<Renewal>,
+
     /// Where sample points come from
     #[arg(long, value_enum, default_value_t = Sampler::Sobol, help_heading = "Work")]
     pub sampler: Sampler,
@@ -196,7 +232,8 @@ pub struct RenderArgs {
     #[arg(long, help_heading = "Work")]
     pub resume: bool,
 
-    /// Do part I of N (I from 0) of the samples and write a mergeable part instead of a picture: see occlude merge
+    /// Do part I of N (I from 0) of the samples and write a mergeable part instead of a picture: see occlude merge. With --frames:
+    /// do part I of N of the frames, whole
     #[arg(long, value_name = "I/N", help_heading = "Work")]
     pub shard: Option<Shard>,
 }
@@ -218,9 +255,25 @@ impl RenderArgs {
                 "leave it out: light paths find caustics sharp",
             ));
         }
+        if self.fov.is_some() && self.camera_look.is_none() && self.camera_path.is_none() {
+            return Err(CliError::input(
+                "no camera of its own to apply it to",
+                "--fov",
+                "it belongs to --camera-look or --camera-path",
+            ));
+        }
         if self.output.is_empty() {
-            let name = self.scene.file_stem().unwrap_or("picture".as_ref());
-            self.output.push(Path::new(name).with_extension("png"));
+            let mut name = self
+                .scene
+                .file_stem()
+                .unwrap_or("picture".as_ref())
+                .to_owned();
+            name.push(if self.is_sequence() {
+                "_####.png"
+            } else {
+                ".png"
+            });
+            self.output.push(name.into());
         }
         std::fs::metadata(&self.scene)
             .and_then(|data| {
@@ -251,7 +304,8 @@ impl RenderArgs {
             ));
         }
         if self.shard.is_some() {
-            if self.time_limit.is_some() || self.noise.is_some() {
+            let frames = self.is_sequence();
+            if !frames && (self.time_limit.is_some() || self.noise.is_some()) {
                 return Err(CliError::input(
                     "shards need a fixed number of samples",
                     "--shard",
@@ -265,7 +319,7 @@ impl RenderArgs {
                     "use --visibility exact or occluder",
                 ));
             }
-            if self.output.len() != 1 {
+            if !frames && self.output.len() != 1 {
                 return Err(CliError::input(
                     "a shard writes one part",
                     "--shard",
@@ -273,16 +327,27 @@ impl RenderArgs {
                 ));
             }
         }
-        let inputs: Vec<&Path> = [Some(&self.scene), self.environment.as_ref()]
-            .into_iter()
-            .flatten()
-            .map(PathBuf::as_path)
-            .collect();
+        let files = [
+            Some(&self.scene),
+            self.environment.as_ref(),
+            self.camera_path.as_ref(),
+        ];
+        let inputs: Vec<&Path> = files.into_iter().flatten().map(PathBuf::as_path).collect();
         let checkpoint = self.checkpoint_path();
         let mut outputs: Vec<&Path> = self.output.iter().map(PathBuf::as_path).collect();
         outputs.push(&checkpoint);
         output::check(&checkpoint)?;
         output::check_distinct(&outputs, &inputs)
+    }
+
+    /// Several pictures, or one that has a frame's number.
+    pub fn is_sequence(&self) -> bool {
+        self.frames.is_some() || self.camera_path.is_some()
+    }
+
+    /// Vertical field of view where nothing else says, radians.
+    pub fn field_of_view(&self) -> f32 {
+        self.fov.unwrap_or(DEFAULT_FOV).to_radians()
     }
 
     /// Where unfinished work is kept.

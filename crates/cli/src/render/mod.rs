@@ -1,6 +1,8 @@
 //! `occlude render`: a scene becomes a picture.
 
 mod args;
+mod camera_path;
+mod sequence;
 mod setup;
 mod strategy;
 
@@ -18,14 +20,15 @@ use occlude_render::camera::{PixelFilter, View};
 use occlude_render::film::Film;
 use occlude_render::geometry::Geometry;
 use occlude_render::integrator::{
-    self, BidirectionalLimits, InstantRadiosity, PathLimits, RenderSettings, StoppedBy, World,
-    render,
+    self, BidirectionalLimits, InstantRadiosity, PathLimits, RenderReport, RenderSettings,
+    StoppedBy, World, render,
 };
+use occlude_render::light::Lights;
 use occlude_render::sampling::SamplerKind;
 use occlude_render::work::{Work, shard_samples};
 use occlude_scene::{Pose, Scene};
 use occlude_visibility::quantized::{BoundingSphere, Quantized, Share};
-use occlude_visibility::{Exact, Occluder, Visibility};
+use occlude_visibility::{Class, Exact, Occluder, Visibility};
 use setup::{build, load, view};
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -37,9 +40,42 @@ const CHECKPOINT_PERIOD: Duration = Duration::from_secs(60);
 /// Runs `occlude render`.
 pub fn run(mut args: RenderArgs, context: &mut Context) -> Result<(), CliError> {
     args.check()?;
+    if args.is_sequence() {
+        return sequence::run(args, context);
+    }
+    check_memory(&args, context)?;
     let (scene, sky) = context.phase("load", |context| load(&args, context))?;
     let pose = Pose::at(&scene, args.time);
     let view = view(&args, &scene, &pose)?;
+    let (geometry, lights) =
+        context.phase("build", |_| build(&args, &scene, &pose, sky.as_ref()))?;
+    let mut counts = counts(&scene);
+    counts.lights = lights.len() as u64;
+    context.stats.scene_counts = Some(counts);
+    check_light(&args, &scene, &lights)?;
+    let world = World {
+        geometry: &geometry,
+        lights: &lights,
+    };
+    match &args.visibility {
+        Strategy::Quantized(options) => {
+            let quantized = quantized(&args, options, false, context, &scene, &pose)?;
+            work(&args, context, &world, &view, sky.as_ref(), &quantized)
+        }
+        Strategy::Exact => work(&args, context, &world, &view, sky.as_ref(), &Exact),
+        Strategy::Occluder => work(
+            &args,
+            context,
+            &world,
+            &view,
+            sky.as_ref(),
+            &Occluder::default(),
+        ),
+    }
+}
+
+/// The film must fit.
+fn check_memory(args: &RenderArgs, context: &Context) -> Result<(), CliError> {
     let Size { width, height } = args.size;
     let mut film_bytes = Film::bytes(width, height, args.records_features());
     if args.integrator == Integrator::Bidirectional {
@@ -56,11 +92,11 @@ pub fn run(mut args: RenderArgs, context: &mut Context) -> Result<(), CliError> 
             "raise --memory or lower --size",
         ));
     }
-    let (geometry, lights) =
-        context.phase("build", |_| build(&args, &scene, &pose, sky.as_ref()))?;
-    let mut counts = counts(&scene);
-    counts.lights = lights.len() as u64;
-    context.stats.scene_counts = Some(counts);
+    Ok(())
+}
+
+/// A picture without light is a mistake.
+fn check_light(args: &RenderArgs, scene: &Scene, lights: &Lights) -> Result<(), CliError> {
     if lights.is_empty()
         && args.integrator != Integrator::Ao
         && !scene.materials.iter().any(|m| m.unlit)
@@ -71,31 +107,14 @@ pub fn run(mut args: RenderArgs, context: &mut Context) -> Result<(), CliError> 
             "add --environment FILE or --sun AZ,EL (such as --sun 45,45), or use --integrator ao",
         ));
     }
-    let world = World {
-        geometry: &geometry,
-        lights: &lights,
-    };
-    match &args.visibility {
-        Strategy::Quantized(options) => {
-            let quantized = quantized(&args, options, context, &scene, &pose)?;
-            work(&args, context, &world, &view, sky.as_ref(), &quantized)
-        }
-        Strategy::Exact => work(&args, context, &world, &view, sky.as_ref(), &Exact),
-        Strategy::Occluder => work(
-            &args,
-            context,
-            &world,
-            &view,
-            sky.as_ref(),
-            &Occluder::default(),
-        ),
-    }
+    Ok(())
 }
 
-/// The cache that `--visibility quantized` asks for.
+/// The cache that `--visibility quantized` asks for; `frames`: for several pictures.
 fn quantized(
     args: &RenderArgs,
     options: &QuantizedOptions,
+    frames: bool,
     context: &Context,
     scene: &Scene,
     pose: &Pose,
@@ -106,13 +125,14 @@ fn quantized(
         Integrator::InstantRadiosity => Asks::Many,
     };
     let guarantee = args.guarantee.unwrap_or(GuaranteeName::Bounded);
-    let settings = options.settings(asks, guarantee, args.known_samples(), context.common.seed);
+    let seed = context.common.seed;
+    let settings = options.settings(asks, guarantee, frames, args.known_samples(), seed);
     let copies = match settings.share {
-        Share::All => 1,
+        Share::All | Share::Frames => 1,
         Share::Tile | Share::Thread => rayon::current_num_threads() as u64,
     };
     let kinds = match settings.share {
-        Share::Tile => 1,
+        Share::Tile | Share::Frames => 1,
         Share::Thread | Share::All => 1 + u64::from(asks == Asks::Many),
     };
     let bytes = (settings.table_bytes as u64).saturating_mul(copies * kinds);
@@ -142,7 +162,14 @@ fn work<'a, V: Visibility<Geometry<'a>>>(
     let settings = settings(args, context.common.seed);
     let finish = finish(args, world.geometry.scene, context.common.seed);
     let part = Work {
-        fingerprint: fingerprint(args, world.geometry, view, sky, &settings),
+        fingerprint: fingerprint(
+            args,
+            world.geometry.scene,
+            world.geometry.pose,
+            view,
+            sky,
+            &settings,
+        ),
         total: args.total_samples(),
         samples: settings.samples.clone(),
         notes: finish.notes(),
@@ -183,32 +210,12 @@ fn work<'a, V: Visibility<Geometry<'a>>>(
     });
     context.progress.finish();
     let done = film.min_samples();
-    context.stats.work = Some(stats::Work {
-        samples_per_pixel: done,
-        stopped_by: report.stopped_by.name(),
-        rays: stats::Rays {
-            primary: report.rays.primary,
-            secondary: report.rays.secondary,
-            shadow: report.visibility.traced,
-            fill: report.visibility.fill,
-        },
-        visibility: stats::Visibility {
-            strategy: visibility.name().to_owned(),
-            class: visibility.class().name(),
-            queries: report.visibility.queries,
-            answered: report.visibility.answered,
-            traced: report.visibility.traced,
-            refined: report.visibility.refined,
-            overwritten: report.visibility.overwritten,
-            bytes: visibility.bytes(),
-        },
-        vpls: report.instant_radiosity.map(|ir| ir.vpls),
-        clamp: report
-            .instant_radiosity
-            .map(|ir| ir.clamp)
-            .filter(|clamp| clamp.is_finite()),
-        clamped_energy: report.instant_radiosity.map(|ir| ir.clamped_energy),
-    });
+    context.stats.work = Some(work_stats(
+        done,
+        &report,
+        (visibility.name(), visibility.class()),
+        visibility.bytes(),
+    ));
     if film.dropped() > 0 {
         context.warn(format_args!(
             "{} samples were not finite and count as black: please report the scene",
@@ -245,6 +252,40 @@ fn work<'a, V: Visibility<Geometry<'a>>>(
         context.stats.seconds.work
     ));
     Ok(())
+}
+
+/// What `--stats` says about rendering.
+fn work_stats(
+    samples_per_pixel: u32,
+    report: &RenderReport,
+    (strategy, class): (&str, Class),
+    bytes: u64,
+) -> stats::Work {
+    let visibility = report.visibility.clone();
+    let virtual_lights = report.instant_radiosity;
+    stats::Work {
+        samples_per_pixel,
+        stopped_by: report.stopped_by.name(),
+        rays: stats::Rays {
+            primary: report.rays.primary,
+            secondary: report.rays.secondary,
+            shadow: visibility.traced,
+            fill: visibility.fill,
+        },
+        visibility: stats::Visibility {
+            strategy: strategy.to_owned(),
+            class: class.name(),
+            queries: visibility.queries,
+            answered: visibility.answered,
+            traced: visibility.traced,
+            refined: visibility.refined,
+            overwritten: visibility.overwritten,
+            bytes,
+        },
+        vpls: virtual_lights.map(|ir| ir.vpls),
+        clamp: (virtual_lights.map(|ir| ir.clamp)).filter(|clamp| clamp.is_finite()),
+        clamped_energy: virtual_lights.map(|ir| ir.clamped_energy),
+    }
 }
 
 fn settings(args: &RenderArgs, seed: u64) -> RenderSettings {
@@ -312,8 +353,9 @@ fn finish(args: &RenderArgs, scene: &Scene, seed: u64) -> Finish {
 /// A number for everything that the picture depends on, the number of samples apart.
 fn fingerprint(
     args: &RenderArgs,
-    geometry: &Geometry,
-    view: &View,
+    scene: &Scene,
+    pose: &Pose,
+    view: &impl std::fmt::Debug,
     sky: Option<&Picture>,
     settings: &RenderSettings,
 ) -> u64 {
@@ -334,7 +376,7 @@ fn fingerprint(
             args.environment_scale
         )
     );
-    let mut hash = occlude_scene::fingerprint(geometry.scene, geometry.pose);
+    let mut hash = occlude_scene::fingerprint(scene, pose);
     // FNV-1a: tells works apart, not forgers.
     let mut byte = |byte: u8| hash = (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
     text.bytes().for_each(&mut byte);

@@ -100,6 +100,15 @@ pub fn build<'a>(
 ) -> Result<(Geometry<'a>, light::Lights), CliError> {
     let geometry = Geometry::new(scene, pose, &BuildOptions::default())
         .map_err(|error| CliError::input("cannot trace the scene", args.scene.display(), error))?;
+    Ok((geometry, lights(args, scene, pose, sky)))
+}
+
+pub fn lights(
+    args: &RenderArgs,
+    scene: &Scene,
+    pose: &Pose,
+    sky: Option<&Picture>,
+) -> light::Lights {
     let rotation = args.environment_rotation.to_radians();
     let environment =
         sky.map(|sky| Environment::from_picture(sky, rotation, args.environment_scale));
@@ -108,17 +117,14 @@ pub fn build<'a>(
         Lights::Power => LightSelection::Power,
         Lights::Tree => LightSelection::Tree,
     };
-    Ok((
-        geometry,
-        light::Lights::new(scene, pose, environment, selection),
-    ))
+    light::Lights::new(scene, pose, environment, selection)
 }
 
 /// The camera: asked for, the file's first, or one that frames everything.
 pub fn view(args: &RenderArgs, scene: &Scene, pose: &Pose) -> Result<View, CliError> {
     let Size { width, height } = args.size;
     if let Some(look) = &args.camera_look {
-        return View::look_at(look.eye, look.target, args.fov.to_radians(), width, height)
+        return View::look_at(look.eye, look.target, args.field_of_view(), width, height)
             .ok_or_else(|| {
                 CliError::input(
                     "no such view",

@@ -112,7 +112,8 @@ impl QuantizedOptions {
                     "tile" => Share::Tile,
                     "thread" => Share::Thread,
                     "all" => Share::All,
-                    _ => return Err(format!("{value:?}: there are tile, thread and all")),
+                    "frames" => Share::Frames,
+                    _ => return Err(format!("{value:?}: there are tile, thread, all and frames")),
                 });
             }
             "digest" => {
@@ -138,11 +139,12 @@ impl QuantizedOptions {
         Ok(())
     }
 
-    /// Settings for an integrator that asks in this way; `samples_per_pixel` of the whole work, if it is known.
+    /// Settings for an integrator that asks in this way; `frames`: for several pictures; `samples_per_pixel` of the whole work, if it is known.
     pub fn settings(
         &self,
         asks: Asks,
         guarantee: GuaranteeName,
+        frames: bool,
         samples_per_pixel: Option<u32>,
         seed: u64,
     ) -> QuantizedSettings {
@@ -165,12 +167,15 @@ impl QuantizedOptions {
         };
         // Tiles remember enough for themselves where they ask about the same lights in every pixel.
         let (share, table) = match (asks, guarantee) {
+            (Asks::Many, Guarantee::Bounded | Guarantee::Unbiased) if frames => {
+                (Share::Frames, 256 << 20)
+            }
             (Asks::Many, Guarantee::Bounded | Guarantee::Unbiased) => (Share::Tile, 4 << 20),
             _ => (Share::All, 256 << 20),
         };
         let share = self.share.unwrap_or(share);
         let table = match share {
-            Share::All => 256 << 20,
+            Share::All | Share::Frames => 256 << 20,
             Share::Tile | Share::Thread => table.min(4 << 20),
         };
         QuantizedSettings {
@@ -214,7 +219,7 @@ mod tests {
         ) else {
             panic!("a legal value is refused");
         };
-        let settings = options.settings(Asks::Pairs, GuaranteeName::Unbiased, Some(9), 7);
+        let settings = options.settings(Asks::Pairs, GuaranteeName::Unbiased, false, Some(9), 7);
         assert_eq!(
             settings,
             QuantizedSettings {

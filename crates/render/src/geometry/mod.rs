@@ -8,5 +8,5 @@ mod triangle;
 
 pub use surface::Surface;
 pub(crate) use tracer::is_pane;
-pub use tracer::{Geometry, GeometryError};
+pub use tracer::{Geometry, GeometryError, Still};
 pub use triangle::WorldTriangle;

@@ -5,7 +5,9 @@ use crate::bsdf::{self, Bsdf};
 use glam::{Mat3, Vec3};
 use occlude_bvh::{Accel, Blocker, BuildOptions, HitFilter, InstanceInput, MeshInput};
 use occlude_scene::{AlphaMode, Material, Pose, Scene};
+use occlude_visibility::two_part::{Ball, TwoPartTracer};
 use occlude_visibility::{Hit, Ray, Tracer};
+use std::sync::Arc;
 
 /// Why a scene cannot be traced.
 #[derive(Debug, thiserror::Error)]
@@ -30,10 +32,30 @@ pub struct Geometry<'a> {
     pub scene: &'a Scene,
     /// Where everything is.
     pub pose: &'a Pose,
-    blockers: Accel,
-    panes: Option<Accel>,
+    /// What stands still in a sequence of pictures; of a single picture, everything.
+    still: Part,
+    moving: Option<Moving>,
     normal_from_object: Vec<Mat3>,
 }
+
+/// The hierarchies over some of the instances.
+#[derive(Clone, Debug)]
+struct Part {
+    blockers: Arc<Accel>,
+    panes: Option<Arc<Accel>>,
+}
+
+/// What moves in a sequence of pictures.
+#[derive(Debug)]
+struct Moving {
+    part: Part,
+    /// Balls that hold it all.
+    balls: Vec<Ball>,
+}
+
+/// The hierarchies over what stands still in a sequence of pictures: built once, shared by the [`Geometry`] of every picture.
+#[derive(Clone, Debug)]
+pub struct Still(Part);
 
 /// Whether light passes the material straight through, as through a window pane.
 pub(crate) fn is_pane(material: &Material) -> bool {
@@ -44,6 +66,19 @@ pub(crate) fn is_pane(material: &Material) -> bool {
         && bsdf::is_smooth(material.roughness)
         && (material.metallic_roughness_texture.is_none() || material.roughness == 0.0)
         && !material.unlit
+}
+
+/// A ball around each of the instances.
+fn balls(scene: &Scene, pose: &Pose, takes_part: impl Fn(usize) -> bool) -> Vec<Ball> {
+    let instances = (0..pose.instances.len()).filter(|&number| takes_part(number));
+    instances
+        .filter_map(|number| {
+            let world_from_object = pose.instances[number].world_from_object;
+            let corners = (pose.positions(scene, number).iter())
+                .map(|&position| world_from_object.transform_point3(position));
+            Ball::around(corners)
+        })
+        .collect()
 }
 
 struct AlphaFilter<'a> {
@@ -58,11 +93,12 @@ impl HitFilter for AlphaFilter<'_> {
     }
 }
 
-impl<'a> Geometry<'a> {
-    /// Builds the hierarchies. Takes about half a microsecond a triangle and core.
-    pub fn new(
-        scene: &'a Scene,
-        pose: &'a Pose,
+impl Part {
+    /// Builds the hierarchies over the instances that `takes_part` names.
+    fn build(
+        scene: &Scene,
+        pose: &Pose,
+        takes_part: impl Fn(usize) -> bool,
         options: &BuildOptions,
     ) -> Result<Self, GeometryError> {
         let plain = scene
@@ -71,9 +107,15 @@ impl<'a> Geometry<'a> {
             .map(|mesh| (mesh, mesh.positions.as_slice()));
         let mut meshes: Vec<_> = plain.collect();
         let mut instances = Vec::with_capacity(pose.instances.len());
-        for posed in &pose.instances {
+        // Who takes no part is there without triangles, so that indices agree.
+        let mut nothing = None;
+        for (number, posed) in pose.instances.iter().enumerate() {
             let mesh = &scene.meshes[posed.mesh as usize];
             let index = match posed.deformed {
+                _ if !takes_part(number) => *nothing.get_or_insert_with(|| {
+                    meshes.push((mesh, &[]));
+                    meshes.len() - 1
+                }),
                 Some(deformed) => {
                     meshes.push((mesh, &pose.deformed[deformed as usize].positions));
                     meshes.len() - 1
@@ -86,11 +128,13 @@ impl<'a> Geometry<'a> {
             });
         }
         let accel = |pane: bool| {
-            // A mesh that belongs to the other hierarchy takes part without triangles, so that indices agree.
+            // A mesh that belongs to the other hierarchy takes part without triangles, too.
             let inputs: Vec<_> = meshes
                 .iter()
-                .map(|(mesh, positions)| {
-                    let here = is_pane(&scene.materials[mesh.material as usize]) == pane;
+                .enumerate()
+                .map(|(index, (mesh, positions))| {
+                    let here = Some(index) != nothing
+                        && is_pane(&scene.materials[mesh.material as usize]) == pane;
                     MeshInput {
                         positions,
                         triangles: if here { &mesh.triangles } else { &[] },
@@ -98,8 +142,75 @@ impl<'a> Geometry<'a> {
                     }
                 })
                 .collect();
-            Accel::build(&inputs, &instances, options)
+            Accel::build(&inputs, &instances, options).map(Arc::new)
         };
+        let has_panes = pose.instances.iter().enumerate().any(|(number, posed)| {
+            let mesh = &scene.meshes[posed.mesh as usize];
+            takes_part(number) && is_pane(&scene.materials[mesh.material as usize])
+        });
+        Ok(Self {
+            blockers: accel(false)?,
+            panes: if has_panes { Some(accel(true)?) } else { None },
+        })
+    }
+
+    fn bytes(&self) -> u64 {
+        self.blockers.stats().bytes + self.panes.as_ref().map_or(0, |panes| panes.stats().bytes)
+    }
+}
+
+impl Still {
+    /// Builds the hierarchies over the instances that are not `moving` (by number, as
+    /// [`moving_instances`](occlude_scene::moving_instances) finds them).
+    pub fn new(
+        scene: &Scene,
+        pose: &Pose,
+        moving: &[bool],
+        options: &BuildOptions,
+    ) -> Result<Self, GeometryError> {
+        let moves = |number: usize| moving.get(number).is_some_and(|moves| *moves);
+        Part::build(scene, pose, |number| !moves(number), options).map(Self)
+    }
+}
+
+impl<'a> Geometry<'a> {
+    /// Builds the hierarchies. Takes about half a microsecond a triangle and core.
+    pub fn new(
+        scene: &'a Scene,
+        pose: &'a Pose,
+        options: &BuildOptions,
+    ) -> Result<Self, GeometryError> {
+        let still = Part::build(scene, pose, |_| true, options)?;
+        Self::of_parts(scene, pose, still, None)
+    }
+
+    /// One picture of a sequence: builds hierarchies over what is `moving` alone, and takes the others from `still`, which
+    /// must have been built from the same scene with the same instances moving.
+    pub fn in_sequence(
+        scene: &'a Scene,
+        pose: &'a Pose,
+        still: &Still,
+        moving: &[bool],
+        options: &BuildOptions,
+    ) -> Result<Self, GeometryError> {
+        let moves = |number: usize| moving.get(number).is_some_and(|moves| *moves);
+        let part = if moving.contains(&true) {
+            Some(Moving {
+                part: Part::build(scene, pose, moves, options)?,
+                balls: balls(scene, pose, moves),
+            })
+        } else {
+            None
+        };
+        Self::of_parts(scene, pose, still.0.clone(), part)
+    }
+
+    fn of_parts(
+        scene: &'a Scene,
+        pose: &'a Pose,
+        still: Part,
+        moving: Option<Moving>,
+    ) -> Result<Self, GeometryError> {
         if !pose
             .instances
             .iter()
@@ -107,10 +218,6 @@ impl<'a> Geometry<'a> {
         {
             return Err(GeometryError::Empty);
         }
-        let has_panes = pose.instances.iter().any(|posed| {
-            let mesh = &scene.meshes[posed.mesh as usize];
-            is_pane(&scene.materials[mesh.material as usize])
-        });
         let normal_from_object = pose.instances.iter().map(|posed| {
             let world_from_object = Mat3::from(posed.world_from_object.matrix3);
             let inverse = world_from_object.inverse();
@@ -124,10 +231,20 @@ impl<'a> Geometry<'a> {
         Ok(Self {
             scene,
             pose,
-            blockers: accel(false)?,
-            panes: if has_panes { Some(accel(true)?) } else { None },
+            still,
+            moving,
             normal_from_object: normal_from_object.collect(),
         })
+    }
+
+    fn parts(&self) -> impl Iterator<Item = &Part> {
+        [&self.still]
+            .into_iter()
+            .chain(self.moving.as_ref().map(|moving| &moving.part))
+    }
+
+    fn panes(&self) -> impl Iterator<Item = &Accel> {
+        self.parts().filter_map(|part| part.panes.as_deref())
     }
 
     fn filter(&self) -> AlphaFilter<'a> {
@@ -144,7 +261,7 @@ impl<'a> Geometry<'a> {
 
     /// Bytes of the hierarchies.
     pub fn bytes(&self) -> u64 {
-        self.blockers.stats().bytes + self.panes.as_ref().map_or(0, |panes| panes.stats().bytes)
+        self.parts().map(Part::bytes).sum()
     }
 
     /// The nearest surface along each ray, panes included.
@@ -153,15 +270,18 @@ impl<'a> Geometry<'a> {
     /// If the slices differ in length.
     pub fn closest_batch(&self, rays: &[Ray], hits: &mut [Option<Hit>]) {
         assert_eq!(rays.len(), hits.len());
-        self.blockers.closest_batch(rays, hits, &self.filter());
-        if let Some(panes) = &self.panes {
-            for (ray, hit) in rays.iter().zip(hits) {
+        self.still
+            .blockers
+            .closest_batch(rays, hits, &self.filter());
+        let moving = self.moving.as_ref().map(|moving| &*moving.part.blockers);
+        for nearer in self.panes().chain(moving) {
+            for (ray, hit) in rays.iter().zip(&mut *hits) {
                 let before = Ray {
                     t_max: hit.map_or(ray.t_max, |hit| hit.t),
                     ..*ray
                 };
-                if let Some(pane) = panes.closest(&before, &self.filter()) {
-                    *hit = Some(pane);
+                if let Some(near) = nearer.closest(&before, &self.filter()) {
+                    *hit = Some(near);
                 }
             }
         }
@@ -169,7 +289,7 @@ impl<'a> Geometry<'a> {
 
     /// Whether some panes tint shadow rays.
     pub fn has_panes(&self) -> bool {
-        self.panes.is_some()
+        self.panes().next().is_some()
     }
 
     /// Share of light, by colour, that the panes along a ray let pass; blockers are not asked.
@@ -177,13 +297,21 @@ impl<'a> Geometry<'a> {
         /// More panes than this in a row are as good as a wall.
         const MOST_PANES: usize = 64;
         let mut transmittance = Vec3::ONE;
-        let Some(panes) = &self.panes else {
+        if !self.has_panes() {
             return transmittance;
-        };
+        }
         let mut rest = *ray;
         let toward_origin = -ray.direction.normalize_or_zero();
         for _ in 0..MOST_PANES {
-            let Some(hit) = panes.closest(&rest, &self.filter()) else {
+            let mut nearest: Option<Hit> = None;
+            for panes in self.panes() {
+                let before = Ray {
+                    t_max: nearest.map_or(rest.t_max, |hit| hit.t),
+                    ..rest
+                };
+                nearest = panes.closest(&before, &self.filter()).or(nearest);
+            }
+            let Some(hit) = nearest else {
                 return transmittance;
             };
             if let Some(surface) = super::Surface::new(self, hit, toward_origin) {
@@ -198,21 +326,60 @@ impl<'a> Geometry<'a> {
 }
 
 impl Tracer for Geometry<'_> {
-    type Blocker = Blocker;
+    /// A blocker, and whether it moves.
+    type Blocker = (bool, Blocker);
 
-    fn blocker(&self, ray: &Ray) -> Option<Blocker> {
-        self.blockers.blocker(ray, &self.filter())
+    fn blocker(&self, ray: &Ray) -> Option<Self::Blocker> {
+        let of_part = |moves: bool, part: &Part| {
+            let blocker = part.blockers.blocker(ray, &self.filter())?;
+            Some((moves, blocker))
+        };
+        of_part(false, &self.still).or_else(|| of_part(true, &self.moving.as_ref()?.part))
     }
 
-    fn blocks(&self, blocker: Blocker, ray: &Ray) -> bool {
-        self.blockers.blocks(blocker, ray, &self.filter())
+    fn blocks(&self, (moves, blocker): Self::Blocker, ray: &Ray) -> bool {
+        let part = match (&self.moving, moves) {
+            (Some(moving), true) => &moving.part,
+            (None, true) => return false,
+            (_, false) => &self.still,
+        };
+        part.blockers.blocks(blocker, ray, &self.filter())
     }
 
     fn occluded(&self, ray: &Ray) -> bool {
-        self.blockers.occluded(ray, &self.filter())
+        self.parts()
+            .any(|part| part.blockers.occluded(ray, &self.filter()))
     }
 
     fn occluded_batch(&self, rays: &[Ray], occluded: &mut [bool]) {
-        self.blockers.occluded_batch(rays, occluded, &self.filter());
+        self.still
+            .blockers
+            .occluded_batch(rays, occluded, &self.filter());
+        if let Some(moving) = &self.moving {
+            for (ray, occluded) in rays.iter().zip(occluded) {
+                *occluded |= self.is_met(moving, ray);
+            }
+        }
+    }
+}
+
+impl TwoPartTracer for Geometry<'_> {
+    fn occluded_by_still(&self, rays: &[Ray], occluded: &mut [bool]) {
+        let filter = self.filter();
+        self.still.blockers.occluded_batch(rays, occluded, &filter);
+    }
+
+    fn occluded_by_moving(&self, ray: &Ray) -> bool {
+        (self.moving.as_ref()).is_some_and(|moving| self.is_met(moving, ray))
+    }
+
+    fn moving(&self) -> &[Ball] {
+        self.moving.as_ref().map_or(&[], |moving| &moving.balls)
+    }
+}
+
+impl Geometry<'_> {
+    fn is_met(&self, moving: &Moving, ray: &Ray) -> bool {
+        moving.part.blockers.occluded(ray, &self.filter())
     }
 }

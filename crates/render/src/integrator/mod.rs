@@ -202,14 +202,71 @@ struct Unit {
     samples: Range<u32>,
 }
 
-/// Renders until `settings` say stop, adding to what the film already holds.
-///
-/// The film must be empty or the result of an earlier, interrupted call with the same settings. `at_rest` is called now and
-/// then while no sample is half done, with the film, for checkpoints and previews.
+/// Renders until `settings` say stop, adding to what the film already holds: a picture of its own, see [`Sequence::render`].
 ///
 /// # Panics
 /// If film and view differ in size.
 pub fn render<'a, V: Visibility<Geometry<'a>>>(
+    world: &World<'a>,
+    view: &View,
+    visibility: &V,
+    settings: &RenderSettings,
+    film: &mut Film,
+    job: &Job,
+    at_rest: &mut dyn FnMut(&Film),
+) -> RenderReport {
+    let mut alone = Sequence::default();
+    alone.render(world, view, visibility, settings, film, job, at_rest)
+}
+
+/// Pictures one after the other, and what of the work for one serves the next.
+///
+/// By default that is nothing: each picture is the one that [`render`] makes.
+#[derive(Clone, Debug, Default)]
+pub struct Sequence {
+    /// Blocks of 16 virtual lights that are drawn anew from picture to picture; `None`: all.
+    renew: Option<u32>,
+    virtual_lights: Option<instant_radiosity::Pool>,
+}
+
+impl Sequence {
+    /// A sequence whose virtual lights stay, but for `blocks` blocks of 16 that are drawn anew for every picture: less flicker,
+    /// and questions that a strategy has heard before. A picture then depends on those before it.
+    pub fn renewing(blocks: u32) -> Self {
+        Self {
+            renew: Some(blocks),
+            virtual_lights: None,
+        }
+    }
+
+    /// To be called when surfaces or lights have moved since the last picture.
+    pub fn world_moved(&mut self) {
+        self.virtual_lights = None;
+    }
+
+    /// Renders until `settings` say stop, adding to what the film already holds.
+    ///
+    /// The film must be empty or the result of an earlier, interrupted call with the same settings. `at_rest` is called now and
+    /// then while no sample is half done, with the film, for checkpoints and previews.
+    ///
+    /// # Panics
+    /// If film and view differ in size.
+    pub fn render<'a, V: Visibility<Geometry<'a>>>(
+        &mut self,
+        world: &World<'a>,
+        view: &View,
+        visibility: &V,
+        settings: &RenderSettings,
+        film: &mut Film,
+        job: &Job,
+        at_rest: &mut dyn FnMut(&Film),
+    ) -> RenderReport {
+        render_next(self, world, view, visibility, settings, film, job, at_rest)
+    }
+}
+
+fn render_next<'a, V: Visibility<Geometry<'a>>>(
+    sequence: &mut Sequence,
     world: &World<'a>,
     view: &View,
     visibility: &V,
@@ -241,7 +298,7 @@ pub fn render<'a, V: Visibility<Geometry<'a>>>(
     let layout = Layout::of(settings);
     let prepared = match settings.integrator {
         Integrator::InstantRadiosity(wanted) => Some(instant_radiosity::Prepared::new(
-            world, view, settings, wanted,
+            world, view, settings, wanted, sequence,
         )),
         _ => None,
     };

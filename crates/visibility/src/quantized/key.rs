@@ -130,7 +130,7 @@ pub(super) struct Grids {
     finest: f32,
     normals: u32,
     slab: f32,
-    step: f32,
+    steps: Steps,
     /// Axes of each orientation: X, Y and `d_z`.
     frames: Vec<[Vec3; 3]>,
 }
@@ -162,7 +162,7 @@ impl Grids {
             finest,
             normals,
             slab,
-            step: step.ln(),
+            steps: Steps::new(step, finest),
             frames,
         }
     }
@@ -193,8 +193,7 @@ impl Grids {
 
     /// Eq. 8: the nearest whole power of `C_R`, rounded down to whole voxels; at least 1 and no finer than floats are.
     pub fn quantize(&self, resolution: f32) -> u32 {
-        let power = (resolution.clamp(1.0, self.finest).ln() / self.step).round();
-        (power * self.step).exp().clamp(1.0, self.finest) as u32
+        self.steps.nearest(resolution.clamp(1.0, self.finest))
     }
 
     /// The same for light patches, in powers of two.
@@ -213,9 +212,9 @@ impl Grids {
         let from_centre = position - self.centre;
         let scale = resolution as f32 / self.diameter;
         let voxel = [
-            (from_centre.dot(x) * scale + shift(0)).floor() as i64,
-            (from_centre.dot(y) * scale + shift(16)).floor() as i64,
-            (from_centre.dot(z) * scale * self.slab + shift(32)).floor() as i64,
+            floor(from_centre.dot(x) * scale + shift(0)),
+            floor(from_centre.dot(y) * scale + shift(16)),
+            floor(from_centre.dot(z) * scale * self.slab + shift(32)),
         ];
         Cell {
             orientation,
@@ -234,6 +233,69 @@ impl Grids {
             cell: [(place.x as u32).min(last), (place.y as u32).min(last)],
             resolution,
         }
+    }
+}
+
+/// The whole number below, without a call on processors that have no instruction for it.
+fn floor(x: f32) -> i64 {
+    let truncated = x as i64;
+    truncated - i64::from(truncated as f32 > x)
+}
+
+/// The whole powers of `C_R`, and which of them is nearest: Eq. 8 without logarithms.
+#[derive(Clone, Debug)]
+struct Steps {
+    /// The powers, rounded down to whole voxels.
+    resolutions: Vec<u32>,
+    /// Below which resolution each power is the nearest by ratio; infinite for the last.
+    ends: Vec<f32>,
+    /// The power nearest to the smallest number of each bin; bins are numbers alike in their upper bits.
+    first: Vec<u16>,
+}
+
+impl Steps {
+    /// Bits of a float that tell no bins apart: each spans 1/32 of its octave.
+    const LOWER: u32 = 18;
+
+    /// All powers of `step` from 1 to `finest`, at least 1.
+    fn new(step: f32, finest: f32) -> Self {
+        let step = f64::from(step).ln();
+        let last = (f64::from(finest).ln() / step).round() as usize;
+        let power = |k: usize| (k as f64 * step).exp().clamp(1.0, f64::from(finest)) as u32;
+        let end = |k: usize| ((k as f64 + 0.5) * step).exp() as f32;
+        let ends = (0..last).map(end).chain([f32::INFINITY]);
+        let mut steps = Self {
+            resolutions: (0..=last).map(power).collect(),
+            ends: ends.collect(),
+            first: Vec::new(),
+        };
+        let mut nearest = 0;
+        for bin in Self::bin(1.0)..=Self::bin(finest) {
+            let smallest = f32::from_bits(bin << Self::LOWER);
+            while smallest >= steps.ends[nearest] {
+                nearest += 1;
+            }
+            steps.first.push(nearest as u16);
+        }
+        steps
+    }
+
+    fn bin(x: f32) -> u32 {
+        x.to_bits() >> Self::LOWER
+    }
+
+    /// The power nearest to a resolution from 1 to the finest.
+    fn nearest(&self, resolution: f32) -> u32 {
+        let bin = Self::bin(resolution).wrapping_sub(Self::bin(1.0));
+        let Some(&first) = self.first.get(bin as usize) else {
+            // Not in the range: no number.
+            return 1;
+        };
+        let mut power = usize::from(first);
+        while resolution >= self.ends[power] {
+            power += 1;
+        }
+        self.resolutions[power]
     }
 }
 

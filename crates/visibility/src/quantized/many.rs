@@ -10,15 +10,18 @@
 //! light by light, then the answers serve everybody else.
 //!
 //! With a table shared by threads ([`Share`](super::Share)) the words of cells are fetched from and stored to a hash table
-//! keyed by cell and block: once a cell and block, not once a question.
+//! keyed by cell and block: once a cell and block, not once a question. In a sequence of pictures the words come from what
+//! [earlier pictures](super::past) knew.
 
 use super::key::{Cell, nearest_power_of_two};
+use super::past::{self, Learnt, Note, Past};
 use super::table::{BlockTable, BlockWord};
 use super::{Decisions, Guarantee, Quantized, QuantizedWorker, known, mix};
 use crate::many::bits;
 use crate::order::segments;
 use crate::{
-    BLOCK, Correction, EyeSample, LightEnd, ManyLights, Ray, SharedLight, Tracer, VisibilityStats,
+    BLOCK, Correction, Epoch, EyeSample, LightEnd, ManyLights, Ray, SharedLight, Tracer,
+    VisibilityStats,
 };
 
 /// Where memory has no reason for doubt, one answer in `2^CHECKED` is checked by a ray ([`Guarantee::Unbiased`]).
@@ -45,6 +48,10 @@ pub(super) struct Scratch {
     next: Vec<Active>,
     claims: [Vec<Claim>; BLOCK],
     touched: Vec<u32>,
+    /// Calls since the epoch began.
+    pub(super) calls: u32,
+    /// For later pictures, by block of lights.
+    learnt: Vec<(u64, Vec<Learnt>)>,
 }
 
 /// The cells of all eyes at one error reach, level by level.
@@ -64,6 +71,12 @@ struct Level {
     neighbours: Vec<[u32; 4]>,
     /// What is known about the current block.
     words: Vec<Word>,
+    /// The words hold what earlier pictures knew.
+    recalled: bool,
+    /// Cells that have learnt something about the current block, some more than once.
+    learning: Vec<u32>,
+    /// The cells' rows in the memory of earlier pictures.
+    rows: Vec<u32>,
 }
 
 /// What is known about a block from one cell.
@@ -115,6 +128,10 @@ pub(super) fn answer<T: Tracer>(
         ..
     } = worker;
     let behind = strategy.blocks(own, held);
+    let past = strategy.past();
+    // What other tiles and pictures are to find has a name of its own in no epoch.
+    let salt = past.map_or(decisions.salt, |_| 0);
+    scratch.calls += 1;
     let (eye_passes, light_passes) = strategy.passes(*epoch);
     let count = eyes.len();
     for reach in &mut scratch.reaches {
@@ -139,7 +156,7 @@ pub(super) fn answer<T: Tracer>(
                 .filter(|&l| Extent::of(strategy, &lights[l], eye_passes) == extent)
                 .fold(0u16, |mask, l| mask | 1 << l);
             left &= !alike;
-            let group = Group::new(strategy, lights, alike, light_passes, decisions.salt);
+            let group = Group::new(strategy, lights, alike, light_passes, salt);
             let traced = stats.traced;
             let asked = if extent.error > 0.0 && group.clustered {
                 let reach = scratch.reach(strategy, eyes, extent, eye_passes);
@@ -154,6 +171,9 @@ pub(super) fn answer<T: Tracer>(
             stats.answered += asked - (stats.traced - traced);
         }
         asker.take(block, &scratch.visible[..count], &scratch.corrections);
+    }
+    if let Some(past) = past {
+        scratch.note(past, *epoch);
     }
 }
 
@@ -280,8 +300,21 @@ impl Scratch {
         for (depth, level) in reach.levels.iter_mut().enumerate() {
             let error = extent.error / (1u32 << depth.min(31)) as f32;
             level.number_cells(strategy, eyes, error, eye_passes, &mut self.numbering);
+            if let Some(past) = strategy.past() {
+                past.rows(&level.hashes, &mut level.rows);
+            }
         }
         index
+    }
+
+    /// Notes down for later pictures what this call has learnt.
+    fn note(&mut self, past: &Past, epoch: Epoch) {
+        if !self.learnt.is_empty() {
+            past.note(Note {
+                order: (epoch.pass, epoch.tile, self.calls),
+                blocks: std::mem::take(&mut self.learnt),
+            });
+        }
     }
 
     /// Answers a group of lights for all eyes; returns how many questions that were.
@@ -302,7 +335,11 @@ impl Scratch {
         for level in &mut reach.levels {
             level.words.clear();
             level.words.resize(level.hashes.len(), Word::default());
+            level.recalled = false;
+            level.learning.clear();
         }
+        let past = strategy.past();
+        let column = past.map_or(past::NONE, |past| past.column(group.hash));
         let mut asked = 0;
         let error = reach.extent.map_or(1.0, |extent| extent.error);
         let first = eyes.len() as f32 / (error * error);
@@ -321,6 +358,9 @@ impl Scratch {
             let levels = reach.levels.len();
             for depth in 0..levels {
                 let level = &mut reach.levels[depth];
+                if let (Some(past), false) = (past, level.recalled) {
+                    level.recall(past, column);
+                }
                 self.claim(level, group, behind);
                 self.trace(tracer, eyes, lights, Some((level, group)), stats);
                 self.store(level, group, behind, stats);
@@ -344,6 +384,12 @@ impl Scratch {
                 if self.active.is_empty() {
                     break;
                 }
+            }
+        }
+        if past.is_some() {
+            let learnt: Vec<Learnt> = reach.levels.iter().flat_map(Level::learnt).collect();
+            if !learnt.is_empty() {
+                self.learnt.push((group.hash, learnt));
             }
         }
         self.reaches[index] = reach;
@@ -383,6 +429,7 @@ impl Scratch {
                 });
             }
             word.answers.known |= group.with_patches(claimed);
+            level.learning.push(cell);
             active.lights &= !claimed;
             if behind.is_some() {
                 self.touched.push(cell);
@@ -547,6 +594,31 @@ impl Claim {
 }
 
 impl Level {
+    /// Fetches what earlier pictures knew about the block of a column.
+    fn recall(&mut self, past: &Past, column: u32) {
+        self.recalled = true;
+        if column == past::NONE {
+            return;
+        }
+        for (word, &row) in self.words.iter_mut().zip(&self.rows) {
+            if row != past::NONE {
+                word.answers = past.word(row, column);
+            }
+        }
+    }
+
+    /// What later pictures may know.
+    fn learnt(&self) -> impl Iterator<Item = Learnt> {
+        self.learning.iter().map(|&cell| {
+            let cell = cell as usize;
+            Learnt {
+                hash: self.hashes[cell],
+                row: self.rows.get(cell).copied().unwrap_or(past::NONE),
+                answers: self.words[cell].answers,
+            }
+        })
+    }
+
     /// Bits of known answers that differ from those of a known neighbour, found once a cell and segment: nothing new becomes
     /// known while the eyes of a segment are answered.
     #[inline]

@@ -27,6 +27,7 @@ mod digest;
 mod inspect;
 mod key;
 mod many;
+mod past;
 mod settings;
 mod single;
 mod table;
@@ -49,12 +50,16 @@ use crate::{
 use digest::mix;
 use glam::Vec3;
 use key::{Cell, Grids, LightKey, nearest_power_of_two};
+use past::Past;
 use std::sync::OnceLock;
 use table::{BlockTable, WordTable};
 
 /// Patches that a light with extent is cut into at least. Where an eye sample asks about one point of a lamp, Eqs. 7 and 9 make
 /// the whole lamp one patch, and each patch of a penumbra black or white.
 const LEAST_PATCHES: f32 = 16.0;
+
+/// Bytes of a worker's own table where the memory of a sequence is apart.
+const OWN_BYTES: usize = 4 << 20;
 
 /// Answers from quantized ends. See the [module's description](self).
 #[derive(Debug)]
@@ -63,6 +68,11 @@ pub struct Quantized {
     grids: Grids,
     /// The tables of [`Share::All`], made when first needed.
     shared: Tables,
+    /// What earlier pictures have learnt ([`Share::Frames`]).
+    past: Past,
+    past_held: Option<Held>,
+    /// Number of the picture in its sequence.
+    picture: u64,
     footprint: Footprint,
 }
 
@@ -145,6 +155,9 @@ impl Quantized {
             settings,
             grids,
             shared: Tables::default(),
+            past: Past::default(),
+            past_held: None,
+            picture: 0,
             footprint: Footprint::default(),
         })
     }
@@ -180,7 +193,7 @@ impl Quantized {
                 let so_far = epoch.pass as f32 + now as f32;
                 (so_far, so_far)
             }
-            (_, Share::Tile) => (now as f32, 1.0),
+            (_, Share::Tile | Share::Frames) => (now as f32, 1.0),
             (_, Share::Thread | Share::All) => {
                 (self.settings.samples_per_pixel.max(now) as f32, 1.0)
             }
@@ -278,12 +291,14 @@ impl Quantized {
     }
 
     fn words<'a>(&'a self, worker: &'a Tables, held: &mut Vec<Held>) -> &'a WordTable {
-        let tables = match self.settings.share {
-            Share::All => &self.shared,
-            Share::Tile | Share::Thread => worker,
+        let (tables, bytes) = match self.settings.share {
+            Share::All => (&self.shared, self.settings.table_bytes),
+            Share::Tile | Share::Thread => (worker, self.settings.table_bytes),
+            // The size is that of what pictures share.
+            Share::Frames => (worker, self.settings.table_bytes.min(OWN_BYTES)),
         };
         tables.words.get_or_init(|| {
-            let table = WordTable::new(self.settings.table_bytes);
+            let table = WordTable::new(bytes);
             held.push(self.footprint.hold(table.bytes()));
             table
         })
@@ -292,7 +307,7 @@ impl Quantized {
     /// The table of blocks behind the arrays of a tile; none if tiles remember for themselves.
     fn blocks<'a>(&'a self, worker: &'a Tables, held: &mut Vec<Held>) -> Option<&'a BlockTable> {
         let tables = match self.settings.share {
-            Share::Tile => return None,
+            Share::Tile | Share::Frames => return None,
             Share::Thread => worker,
             Share::All => &self.shared,
         };
@@ -301,6 +316,13 @@ impl Quantized {
             held.push(self.footprint.hold(table.bytes()));
             table
         }))
+    }
+}
+
+impl Quantized {
+    /// The memory of earlier pictures, if there is to be one.
+    fn past(&self) -> Option<&Past> {
+        (self.settings.share == Share::Frames).then_some(&self.past)
     }
 }
 
@@ -335,9 +357,16 @@ impl<T: Tracer> Visibility<T> for Quantized {
     fn begin(&self, worker: &mut QuantizedWorker, epoch: Epoch) {
         let number = u64::from(epoch.pass) << 32 | u64::from(epoch.tile);
         worker.epoch = epoch;
-        worker.decisions.state = mix(self.settings.seed, number);
+        worker.many.calls = 0;
+        worker.decisions.state = match self.picture {
+            0 => mix(self.settings.seed, number),
+            // Decisions of another picture must not depend on what these have left in memory.
+            picture => mix(mix(self.settings.seed, number), picture),
+        };
         worker.decisions.salt = match self.settings.share {
             Share::Tile => mix(1, number),
+            // Workers come and go with pictures; what they remember for themselves ends with the tile, too.
+            Share::Frames => mix(mix(1, number), self.picture),
             Share::Thread | Share::All => 0,
         };
     }
@@ -362,6 +391,21 @@ impl<T: Tracer> Visibility<T> for Quantized {
         asker: &mut dyn ManyLights,
     ) {
         many::answer(self, tracer, worker, eyes, lights, asker);
+    }
+
+    fn next_picture(&mut self) {
+        self.picture += 1;
+        if self.settings.share == Share::Frames {
+            self.past.turn(self.settings.table_bytes);
+            self.past_held = None;
+            self.past_held = Some(self.footprint.hold(self.past.bytes()));
+        }
+    }
+
+    fn forget(&mut self) {
+        self.shared = Tables::default();
+        self.past.clear();
+        self.past_held = None;
     }
 
     fn stats(&self, worker: &QuantizedWorker) -> VisibilityStats {

@@ -61,6 +61,9 @@ pub enum Share {
     Thread,
     /// All threads remember together: the fewest rays. Depends on timing.
     All,
+    /// Every tile remembers for itself, and knows what all tiles have learnt in earlier pictures of a sequence about lights
+    /// that many eyes share (single questions are as with `Tile`). Does not depend on the number of threads.
+    Frames,
 }
 
 /// What answers may be trusted for.

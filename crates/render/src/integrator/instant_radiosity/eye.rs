@@ -122,6 +122,7 @@ impl Harvest {
             let mut kept = 0;
             for k in 0..self.alive.len() {
                 let index = self.alive[k];
+                world.geometry.prefetch(&self.hits, k);
                 let goes_on = match self.hits[k] {
                     Some(hit) => self.meet(world, prepared, index, hit, first),
                     None => {

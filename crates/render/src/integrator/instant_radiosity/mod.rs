@@ -21,10 +21,11 @@
 
 mod eye;
 mod gather;
+mod pool;
 mod shade;
 mod vpl;
 
-use super::{RenderSettings, Unit, Worker, World};
+use super::{RenderSettings, Sequence, Unit, Worker, World};
 use crate::camera::View;
 use crate::film::{FilmTile, FixedSum};
 use crate::geometry::Geometry;
@@ -33,6 +34,7 @@ use crate::sampling::Sampler;
 use eye::{Harvest, Walk};
 use glam::{Vec2, Vec3};
 use occlude_visibility::{LightEnd, SharedLight, Visibility, order};
+pub(super) use pool::Pool;
 use shade::{Asker, Kind, LightList, Packs};
 use std::sync::{Mutex, PoisonError};
 
@@ -70,6 +72,8 @@ pub struct InstantRadiosity {
 pub struct InstantRadiosityReport {
     /// Virtual lights.
     pub vpls: u32,
+    /// Those among them that the picture before did not have.
+    pub renewed: u32,
     /// The bound on the geometry term that was used, per square metre.
     pub clamp: f32,
     /// What the bound took away, as a share of the picture's sum with it.
@@ -86,6 +90,9 @@ pub(super) struct Prepared {
     /// Shared lights: points, directions, sky samples.
     direct: Vec<LightList>,
     vpls: LightList,
+    /// Virtual lights, and those that the picture before did not have.
+    count: u32,
+    renewed: u32,
     clamp: f32,
     /// Rays traced in preparation.
     pub(super) rays: u64,
@@ -99,6 +106,7 @@ impl Prepared {
         view: &View,
         settings: &RenderSettings,
         wanted: InstantRadiosity,
+        sequence: &mut Sequence,
     ) -> Self {
         let Geometry { scene, pose, .. } = world.geometry;
         let deltas: Vec<DeltaLight> = world.lights.deltas().collect();
@@ -115,13 +123,18 @@ impl Prepared {
             picked: many.then(|| world.lights.without_extent(scene, pose)),
             direct,
             vpls: LightList::new(Kind::Patch),
+            count: 0,
+            renewed: 0,
             clamp: f32::INFINITY,
             rays: 0,
             sums: Mutex::new([FixedSum::default(); 2]),
         };
         if wanted.max_depth > 1 && wanted.vpls > 0 {
-            let made = vpl::make(world, view, settings, &prepared);
-            (prepared.vpls, prepared.clamp, prepared.rays) = (made.lights, made.clamp, made.rays);
+            let (pool, renew) = (&mut sequence.virtual_lights, sequence.renew);
+            let lights = pool::next(pool, renew, world, view, settings, &prepared);
+            (prepared.count, prepared.renewed) = (lights.count, lights.renewed);
+            (prepared.vpls, prepared.clamp, prepared.rays) =
+                (lights.list, lights.clamp, lights.rays);
         }
         prepared
     }
@@ -134,7 +147,8 @@ impl Prepared {
         let [sum, clamped] = *self.sums.lock().unwrap_or_else(PoisonError::into_inner);
         let (sum, clamped) = (sum.value(), clamped.value());
         InstantRadiosityReport {
-            vpls: self.vpls.len() as u32,
+            vpls: self.count,
+            renewed: self.renewed,
             clamp: self.clamp,
             clamped_energy: if sum > 0.0 { clamped / sum } else { 0.0 },
         }
@@ -212,6 +226,28 @@ pub(super) struct Scratch {
     radiance: Vec<Vec3>,
     answers: Vec<f32>,
     packs: Packs,
+    order: Order,
+}
+
+/// The order of a tile's samples; most tiles are alike.
+#[derive(Debug, Default)]
+struct Order {
+    /// Width and height of the lattice, and samples on it.
+    size: [u32; 3],
+    places: Vec<[u32; 2]>,
+}
+
+impl Order {
+    /// See [`order::progressive`].
+    fn of(&mut self, size: [u32; 3]) -> &[[u32; 2]] {
+        if self.size != size {
+            let [width, height, samples] = size;
+            let first = samples as f32 / (CLUSTER * CLUSTER);
+            self.size = size;
+            self.places = order::progressive(width, height, first);
+        }
+        &self.places
+    }
 }
 
 /// Renders the samples of a unit into its tile.
@@ -233,8 +269,12 @@ pub(super) fn render_unit<'a, V: Visibility<Geometry<'a>>>(
     // Samples of a pixel stand on a small lattice of their own, so that the order runs over pixels and samples alike.
     let columns = (samples as f32).sqrt().ceil() as u32;
     let rows = samples.div_ceil(columns.max(1));
-    let first = (starts.len() as f32) / (CLUSTER * CLUSTER);
-    for [x, y] in order::progressive(unit.width * columns, unit.height * rows, first) {
+    let lattice = [
+        unit.width * columns,
+        unit.height * rows,
+        starts.len() as u32,
+    ];
+    for &[x, y] in scratch.order.of(lattice) {
         let sample = y % rows * columns + x % columns;
         let pixel = y / rows * unit.width + x / columns;
         if sample >= samples {

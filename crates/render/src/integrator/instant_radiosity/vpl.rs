@@ -11,7 +11,7 @@
 //! are followed, so that light paths leave caustics behind. Wrong tool where surfaces gloss: their highlights are not passed on.
 
 use super::eye::{Harvest, Walk};
-use super::shade::{Eye, Kind, LightList, Scatter, patch_on_lambert};
+use super::shade::{Eye, LightList, Scatter, patch_on_lambert};
 use super::{InstantRadiosity, Prepared};
 use crate::bsdf::Bsdf;
 use crate::camera::View;
@@ -59,11 +59,22 @@ pub(super) struct Candidate {
     pub(super) events: u32,
 }
 
+/// A candidate that was drawn: its colour is weighed by the probability of that, its density counts lights of its kind.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Drawn {
+    pub(super) light: Candidate,
+    /// Place on the Morton curve.
+    pub(super) code: u64,
+}
+
 /// Virtual lights, and what making them took.
 pub(super) struct Made {
-    pub(super) lights: LightList,
+    pub(super) drawn: Vec<Drawn>,
+    pub(super) curve: Curve,
     /// Bound on the geometry term.
     pub(super) clamp: f32,
+    /// Light paths that candidates were taken from.
+    pub(super) paths: usize,
     /// Rays traced.
     pub(super) rays: u64,
 }
@@ -77,10 +88,11 @@ pub(super) fn make(
     view: &View,
     settings: &RenderSettings,
     prepared: &Prepared,
+    stream: u32,
 ) -> Made {
     let wanted = &prepared.settings;
     let count = wanted.vpls as usize;
-    let trial = attempt(world, view, settings, prepared, count, 1);
+    let trial = attempt(world, view, settings, prepared, count, stream + 1);
     let total: f64 = trial.brought.iter().sum();
     let squares: f64 = trial.brought.iter().map(|b| b * b).sum();
     let useful = if squares > 0.0 {
@@ -90,14 +102,40 @@ pub(super) fn make(
     };
     let factor = 2.0 * count as f64 / useful.max(1.0);
     let factor = (factor.ceil() as usize).clamp(PATHS_PER_LIGHT, MOST_PATHS_PER_LIGHT);
-    let made = attempt(world, view, settings, prepared, count * factor, 0);
-    let lights = choose(&made.candidates, &made.brought, wanted.vpls, settings.seed);
-    let clamp = bound(wanted, &lights.positions());
+    let paths = count * factor;
+    let made = attempt(world, view, settings, prepared, paths, stream);
+    let curve = Curve::around(&made.candidates);
+    let order = curve.order(&made.candidates);
+    let share = f64::from(wanted.vpls);
+    let offset = offset(settings, stream);
+    let drawn = choose(
+        &made.candidates,
+        &made.brought,
+        &order,
+        wanted.vpls,
+        share,
+        offset,
+    );
+    let positions: Vec<Vec3> = drawn.iter().map(|drawn| drawn.light.position).collect();
+    let clamp = bound(wanted, &positions);
     Made {
-        lights,
+        drawn,
+        curve,
         clamp,
+        paths,
         rays: trial.rays + made.rays,
     }
+}
+
+/// A random number for systematic sampling.
+pub(super) fn offset(settings: &RenderSettings, stream: u32) -> f32 {
+    Sampler::new(
+        crate::sampling::SamplerKind::Independent,
+        settings.seed ^ STREAM,
+        [0, u32::MAX],
+        stream,
+    )
+    .next()[0]
 }
 
 /// Candidates, and what each brings to the picture.
@@ -117,7 +155,13 @@ fn attempt(
 ) -> Attempt {
     let wanted = &prepared.settings;
     let (candidates, mut rays) = candidates(world, settings, wanted, paths, stream);
-    let (pilots, walked) = pilots(world, view, settings, prepared, candidates.len());
+    let (pilots, walked) = pilots(
+        world,
+        view,
+        settings,
+        prepared,
+        (PILOT_RAYS / candidates.len().max(1)).clamp(16, MOST_PILOTS),
+    );
     let step = (candidates.len() / wanted.vpls.max(1) as usize).max(1);
     let some: Vec<Vec3> = candidates
         .iter()
@@ -161,7 +205,7 @@ fn default_clamp(points: &[Vec3]) -> f32 {
 }
 
 /// All vertices of all light paths, in the order of the paths.
-fn candidates(
+pub(super) fn candidates(
     world: &World,
     settings: &RenderSettings,
     wanted: &InstantRadiosity,
@@ -313,14 +357,13 @@ fn walk(
 }
 
 /// A few eye samples all over the picture.
-fn pilots(
+pub(super) fn pilots(
     world: &World,
     view: &View,
     settings: &RenderSettings,
     prepared: &Prepared,
-    candidates: usize,
+    count: usize,
 ) -> (Vec<(Eye, EyeSample)>, u64) {
-    let count = (PILOT_RAYS / candidates.max(1)).clamp(16, MOST_PILOTS);
     let mut harvest = Harvest::default();
     harvest.walks.extend((0..count).map(|i| {
         // The R2 sequence (Roberts 2018).
@@ -346,8 +389,8 @@ fn pilots(
     (pilots, harvest.secondary + count as u64)
 }
 
-/// What each candidate brings to the pilots, all channels together.
-fn judge(
+/// What each candidate brings to the pilots, all channels together, and the rays that it took to know.
+pub(super) fn judge(
     world: &World,
     candidates: &[Candidate],
     pilots: &[(Eye, EyeSample)],
@@ -389,29 +432,56 @@ fn judge(
     (judged.into_iter().map(|one| one.0).collect(), rays)
 }
 
-/// Draws `count` of the candidates in proportion to what they bring; one that is drawn several times becomes one brighter
-/// light. Candidates are ordered along the Morton curve first, so that neighbours share a block and a single random offset
-/// (systematic sampling) spreads the lights evenly.
-fn choose(candidates: &[Candidate], brought: &[f64], count: u32, seed: u64) -> LightList {
-    let mut lights = LightList::new(Kind::Patch);
-    let (low, high) = candidates.iter().fold(
-        (Vec3::splat(f32::INFINITY), Vec3::splat(f32::NEG_INFINITY)),
-        |(low, high), light| (low.min(light.position), high.max(light.position)),
-    );
-    let size = (high - low).max_element().max(f32::MIN_POSITIVE);
-    let mut order: Vec<(u64, u32)> = candidates
-        .iter()
-        .enumerate()
-        .map(|(i, light)| (morton((light.position - low) / size), i as u32))
-        .collect();
-    order.sort_unstable();
+/// The Morton curve through a cube in the world.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Curve {
+    low: Vec3,
+    size: f32,
+}
 
+impl Curve {
+    fn around(candidates: &[Candidate]) -> Self {
+        let (low, high) = candidates.iter().fold(
+            (Vec3::splat(f32::INFINITY), Vec3::splat(f32::NEG_INFINITY)),
+            |(low, high), light| (low.min(light.position), high.max(light.position)),
+        );
+        let size = (high - low).max_element().max(f32::MIN_POSITIVE);
+        Self { low, size }
+    }
+
+    /// Places and numbers of candidates along the curve.
+    pub(super) fn order(&self, candidates: &[Candidate]) -> Vec<(u64, u32)> {
+        let code = |light: &Candidate| morton((light.position - self.low) / self.size);
+        let mut order: Vec<(u64, u32)> = candidates
+            .iter()
+            .enumerate()
+            .map(|(i, light)| (code(light), i as u32))
+            .collect();
+        order.sort_unstable();
+        order
+    }
+}
+
+/// Draws `count` of the candidates in `order` in proportion to what they bring; one that is drawn several times becomes one
+/// brighter light. Candidates are ordered along the Morton curve, so that neighbours share a block and a single random
+/// `offset` (systematic sampling) spreads the lights evenly. All techniques and places together draw `all` lights.
+pub(super) fn choose(
+    candidates: &[Candidate],
+    brought: &[f64],
+    order: &[(u64, u32)],
+    count: u32,
+    all: f64,
+    offset: f32,
+) -> Vec<Drawn> {
+    let mut chosen = Vec::new();
     let flux = |i: usize| f64::from(candidates[i].colour.element_sum());
-    let sum = |values: &mut dyn Iterator<Item = f64>| values.sum::<f64>();
-    let all_brought = sum(&mut brought.iter().copied());
-    let all_flux = sum(&mut (0..candidates.len()).map(flux));
+    // Summed by number: sums of a whole set do not depend on the place of the curve.
+    let mut numbers: Vec<usize> = order.iter().map(|&(_, i)| i as usize).collect();
+    numbers.sort_unstable();
+    let all_brought: f64 = numbers.iter().map(|&i| brought[i]).sum();
+    let all_flux: f64 = numbers.iter().map(|&i| flux(i)).sum();
     if all_flux <= 0.0 || !all_flux.is_finite() {
-        return lights;
+        return chosen;
     }
     let defensive = if all_brought > 0.0 { DEFENSIVE } else { 1.0 };
     let probability = |i: usize| {
@@ -422,16 +492,9 @@ fn choose(candidates: &[Candidate], brought: &[f64], count: u32, seed: u64) -> L
         };
         (1.0 - defensive) * judged + defensive * flux(i) / all_flux
     };
-    let offset = Sampler::new(
-        crate::sampling::SamplerKind::Independent,
-        seed ^ STREAM,
-        [0, u32::MAX],
-        0,
-    )
-    .next()[0];
     let n = f64::from(count);
     let mut before = 0.0;
-    for (_, i) in order {
+    for &(code, i) in order {
         let i = i as usize;
         let p = probability(i);
         let picks = (before + p) * n + 1.0 - f64::from(offset);
@@ -440,23 +503,29 @@ fn choose(candidates: &[Candidate], brought: &[f64], count: u32, seed: u64) -> L
         if drawn < 1.0 {
             continue;
         }
-        let light = &candidates[i];
         let weight = (drawn / (n * p)) as f32;
-        let density = (f64::from(light.density) * p) as f32;
-        let end = Endpoint::new(light.position, light.normal, density);
-        lights.push_patch(
-            SharedLight {
-                end: LightEnd::Surface(end),
-                target: Some(light.target),
-                connections: count as f32,
-            },
-            light.position,
-            light.normal,
-            light.colour * weight,
-            light.events,
-        );
+        let mut light = candidates[i];
+        light.colour *= weight;
+        light.density = (f64::from(light.density) * p * (n / all)) as f32;
+        chosen.push(Drawn { light, code });
     }
-    lights
+    chosen
+}
+
+/// Adds a light to a list, of which `all` lights are drawn.
+pub(super) fn push(lights: &mut LightList, light: &Candidate, all: u32) {
+    let end = Endpoint::new(light.position, light.normal, light.density);
+    lights.push_patch(
+        SharedLight {
+            end: LightEnd::Surface(end),
+            target: Some(light.target),
+            connections: all as f32,
+        },
+        light.position,
+        light.normal,
+        light.colour,
+        light.events,
+    );
 }
 
 /// Place on the Morton curve through the unit cube, 21 bits a side.

@@ -122,14 +122,12 @@ impl LightList {
         self.shared.len()
     }
 
-    /// Where the lights are (of those infinitely far away, their directions).
-    pub(super) fn positions(&self) -> Vec<Vec3> {
-        (0..self.len())
-            .map(|i| {
-                let place = &self.blocks[i / BLOCK].place;
-                Vec3::from_array([0, 1, 2].map(|c| place[c][i % BLOCK]))
-            })
-            .collect()
+    /// Fills up the last block with lights that shine on nobody.
+    pub(super) fn fill_block(&mut self) {
+        if let Some(&last) = self.shared.last() {
+            self.shared
+                .resize(self.shared.len().next_multiple_of(BLOCK), last);
+        }
     }
 
     pub(super) fn is_empty(&self) -> bool {

@@ -1,0 +1,352 @@
+//! `--frames` and `--camera-path`: pictures one after the other, each into files of its own.
+//!
+//! What stands still is built once. Caches and virtual lights stay from frame to frame where that is right: while nothing but
+//! the camera moves, or, where objects move, for the part of the world that does not.
+
+use super::camera_path::CameraPath;
+use super::setup::{self, load, view};
+use super::strategy::Strategy;
+use super::{
+    RenderArgs, check_light, check_memory, fingerprint, finish, quantized, settings, work_stats,
+};
+use crate::context::Context;
+use crate::error::CliError;
+use crate::inspect::counts;
+use crate::values::{Frames, Renewal};
+use crate::{output, signals, stats};
+use occlude_bvh::BuildOptions;
+use occlude_image::Picture;
+use occlude_render::film::Film;
+use occlude_render::geometry::{Geometry, Still};
+use occlude_render::integrator::{RenderReport, RenderSettings, Sequence, StoppedBy, World};
+use occlude_render::light::Lights;
+use occlude_render::work::shard_samples;
+use occlude_scene::{Pose, Scene, moving_instances};
+use occlude_visibility::two_part::TwoPart;
+use occlude_visibility::{Exact, Occluder, Visibility};
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// First line of the file that says which frames are done.
+const DONE: &str = "occlude frames 1";
+
+/// What all frames share.
+struct Plan<'p> {
+    args: &'p RenderArgs,
+    scene: &'p Scene,
+    sky: Option<Picture>,
+    path: Option<CameraPath>,
+    /// The frames of this run.
+    frames: Vec<u32>,
+    settings: RenderSettings,
+    /// Which instances move.
+    moving: Vec<bool>,
+    /// Keep what moves apart from what stands still.
+    apart: bool,
+    fingerprint: u64,
+}
+
+/// Runs `occlude render` for frames.
+pub fn run(mut args: RenderArgs, context: &mut Context) -> Result<(), CliError> {
+    let path = match &args.camera_path {
+        Some(file) => Some(CameraPath::read(file, args.field_of_view().to_degrees())?),
+        None => None,
+    };
+    let all = match (args.frames, &path) {
+        (Some(frames), _) => frames,
+        (None, Some(path)) => path.frames()?,
+        (None, None) => Frames { first: 0, last: 0 },
+    };
+    check_names(&args, all)?;
+    check_memory(&args, context)?;
+    if let Some(path) = &path {
+        for frame in all.first..=all.last {
+            path.view(frame, args.size)?;
+        }
+    }
+    // Frames are shared out whole.
+    let shard = args.shard.take();
+    let part = shard.map_or(0..all.count(), |shard| {
+        shard_samples(all.count(), shard.index, shard.count)
+    });
+    let args = &args;
+    let (scene, sky) = context.phase("load", |context| load(args, context))?;
+    let scene = &scene;
+    let times = (all.first..=all.last).map(|frame| time(frame, args.fps));
+    let moving = moving_instances(scene, times);
+    let settings = settings(args, context.common.seed);
+    let first = Pose::at(scene, time(all.first, args.fps));
+    let what = (&path, args.fps, &scene.motion, args.renew_vpls);
+    let plan = Plan {
+        fingerprint: fingerprint(args, scene, &first, &what, sky.as_ref(), &settings),
+        args,
+        scene,
+        sky,
+        path,
+        frames: part.map(|index| all.first + index).collect(),
+        settings,
+        apart: matches!(args.visibility, Strategy::Quantized(_)) && moving.contains(&true),
+        moving,
+    };
+    match &args.visibility {
+        Strategy::Quantized(options) => {
+            let several = all.count() > 1;
+            let cache = quantized(args, options, several, context, scene, &first)?;
+            if plan.apart {
+                plan.render(context, first, TwoPart(cache))
+            } else {
+                plan.render(context, first, cache)
+            }
+        }
+        Strategy::Exact => plan.render(context, first, Exact),
+        Strategy::Occluder => plan.render(context, first, Occluder::default()),
+    }
+}
+
+/// Seconds into the animation.
+fn time(frame: u32, fps: f32) -> f32 {
+    (f64::from(frame) / f64::from(fps)) as f32
+}
+
+/// Several frames need names that differ.
+fn check_names(args: &RenderArgs, frames: Frames) -> Result<(), CliError> {
+    for output in &args.output {
+        let name = output.file_name().unwrap_or_default().to_string_lossy();
+        if frames.count() > 1 && !name.contains('#') {
+            return Err(CliError::input(
+                format_args!("{} frames, and one name", frames.count()),
+                output.display(),
+                "put #### where the frame's number goes, such as -o frame_####.exr",
+            ));
+        }
+        if frames.count() > 1 && name.trim_matches(|c| c != '#').contains(|c| c != '#') {
+            return Err(CliError::input(
+                "several places for the frame's number",
+                output.display(),
+                "keep one group of #",
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// The name of a frame: the number takes the place of the #, with zeros in front so that it has as many digits at least.
+fn name(output: &Path, frame: u32) -> PathBuf {
+    let name = output.file_name().unwrap_or_default().to_string_lossy();
+    let Some(start) = name.find('#') else {
+        return output.to_owned();
+    };
+    let digits = name[start..].chars().take_while(|&c| c == '#').count();
+    let (before, after) = (&name[..start], &name[start + digits..]);
+    output.with_file_name(format!("{before}{frame:0digits$}{after}"))
+}
+
+impl Plan<'_> {
+    fn names(&self, frame: u32) -> Vec<PathBuf> {
+        let outputs = self.args.output.iter();
+        outputs.map(|output| name(output, frame)).collect()
+    }
+
+    /// Renders frame after frame.
+    fn render<V: for<'a> Visibility<Geometry<'a>>>(
+        &self,
+        context: &mut Context,
+        mut pose: Pose,
+        mut visibility: V,
+    ) -> Result<(), CliError> {
+        let args = self.args;
+        let checkpoint = args.checkpoint_path();
+        let mut done = self.done(&checkpoint)?;
+        let remembers = matches!(args.visibility, Strategy::Quantized(_));
+        let renewal = args.renew_vpls.unwrap_or(Renewal(remembers.then_some(1)));
+        let mut sequence = renewal.0.map_or_else(Sequence::default, Sequence::renewing);
+        let options = BuildOptions::default();
+        let still = context.phase("build", |_| {
+            let nothing = vec![false; self.moving.len()];
+            let moving = if self.apart { &self.moving } else { &nothing };
+            Still::new(self.scene, &pose, moving, &options)
+        });
+        let still = still.map_err(|error| self.untraceable(error))?;
+        let mut lights: Option<Lights> = None;
+        let mut total: Option<Total> = None;
+        let finish = finish(args, self.scene, context.common.seed);
+        let mut counts = counts(self.scene);
+        context.progress.expect(args.time_limit);
+        signals::graceful();
+        let mut cancelled = false;
+        for &frame in &self.frames {
+            let names = self.names(frame);
+            if done.contains(&frame) && names.iter().all(|name| name.exists()) {
+                continue;
+            }
+            if context.job.is_cancelled() {
+                cancelled = true;
+                break;
+            }
+            let began = Instant::now();
+            let geometry_moved = self.moving.contains(&true) && total.is_some();
+            let now = time(frame, args.fps);
+            if pose.time != now && !self.scene.motion.clips.is_empty() {
+                let before = std::mem::replace(&mut pose, Pose::at(self.scene, now));
+                if geometry_moved || before.lights != pose.lights {
+                    lights = None;
+                    sequence.world_moved();
+                }
+            }
+            let geometry = context.phase("build", |_| {
+                if lights.is_none() {
+                    lights = Some(setup::lights(args, self.scene, &pose, self.sky.as_ref()));
+                }
+                if self.apart || !self.moving.contains(&true) {
+                    Geometry::in_sequence(self.scene, &pose, &still, &self.moving, &options)
+                } else {
+                    Geometry::new(self.scene, &pose, &options)
+                }
+            });
+            let geometry = geometry.map_err(|error| self.untraceable(error))?;
+            let Some(lights) = &lights else {
+                continue;
+            };
+            check_light(args, self.scene, lights)?;
+            counts.lights = lights.len() as u64;
+            context.stats.scene_counts = Some(counts);
+            let view = match &self.path {
+                Some(path) => path.view(frame, args.size)?,
+                None => view(args, self.scene, &pose)?,
+            };
+            let world = World {
+                geometry: &geometry,
+                lights,
+            };
+            let mut film = Film::new(args.size.width, args.size.height, args.records_features());
+            let working = Instant::now();
+            let report = context.phase("work", |context| {
+                let (job, settings) = (&context.job, &self.settings);
+                sequence.render(
+                    &world,
+                    &view,
+                    &visibility,
+                    settings,
+                    &mut film,
+                    job,
+                    &mut |_| (),
+                )
+            });
+            let work = working.elapsed().as_secs_f64();
+            total = Some(Total::add(total, &report, &film));
+            if report.stopped_by == StoppedBy::Cancel {
+                cancelled = true;
+                break;
+            }
+            context.phase("write", |_| finish.write(&film, &names))?;
+            visibility.next_picture();
+            done.insert(frame);
+            self.save(&checkpoint, &done)?;
+            context.stats.frames.push(stats::Frame {
+                frame,
+                seconds: began.elapsed().as_secs_f64(),
+                work,
+                queries: report.visibility.queries,
+                traced: report.visibility.traced,
+                vpls_renewed: report.instant_radiosity.map(|ir| ir.renewed),
+            });
+            context
+                .progress
+                .note(&format!("frame {frame}: {work:.2} s"));
+        }
+        context.progress.finish();
+        if let Some(total) = &total {
+            let bytes = Visibility::<Geometry>::bytes(&visibility);
+            let strategy = Visibility::<Geometry>::name(&visibility);
+            let class = Visibility::<Geometry>::class(&visibility);
+            context.stats.work = Some(work_stats(
+                total.samples,
+                &total.report,
+                (strategy, class),
+                bytes,
+            ));
+            if total.dropped > 0 {
+                context.warn(format_args!(
+                    "{} samples were not finite and count as black: please report the scene",
+                    total.dropped
+                ));
+            }
+        }
+        if cancelled {
+            if let Some(work) = &mut context.stats.work {
+                work.stopped_by = StoppedBy::Cancel.name();
+            }
+            let whole = (self.frames.iter())
+                .filter(|frame| done.contains(frame))
+                .count();
+            return Err(CliError::Cancelled(format!(
+                "{whole} of {} frames are done: {}: go on with the same command and --resume",
+                self.frames.len(),
+                checkpoint.display()
+            )));
+        }
+        let _ = std::fs::remove_file(&checkpoint);
+        Ok(())
+    }
+
+    fn untraceable(&self, error: impl std::fmt::Display) -> CliError {
+        CliError::input("cannot trace the scene", self.args.scene.display(), error)
+    }
+
+    /// The frames that an earlier run has done, if `--resume` was given.
+    fn done(&self, checkpoint: &Path) -> Result<BTreeSet<u32>, CliError> {
+        if !self.args.resume || !checkpoint.exists() {
+            return Ok(BTreeSet::new());
+        }
+        let text = std::fs::read_to_string(checkpoint)
+            .map_err(|error| CliError::read(checkpoint, &error))?;
+        let mut lines = text.lines();
+        let same = lines.next() == Some(DONE)
+            && lines.next() == Some(format!("{:016x}", self.fingerprint).as_str());
+        if !same {
+            return Err(CliError::input(
+                "the checkpoint belongs to another work (scene, views, size, seed, settings or program version differ)",
+                checkpoint.display(),
+                "repeat its command line, or leave out --resume to start anew",
+            ));
+        }
+        lines
+            .map(|line| line.parse().ok())
+            .collect::<Option<_>>()
+            .ok_or_else(|| {
+                let cure = "leave out --resume to start anew";
+                CliError::input("a damaged checkpoint", checkpoint.display(), cure)
+            })
+    }
+
+    fn save(&self, checkpoint: &Path, done: &BTreeSet<u32>) -> Result<(), CliError> {
+        output::write(checkpoint, |out| {
+            writeln!(out, "{DONE}\n{:016x}", self.fingerprint)?;
+            done.iter().try_for_each(|frame| writeln!(out, "{frame}"))
+        })
+    }
+}
+
+/// Sums over the frames.
+struct Total {
+    report: RenderReport,
+    samples: u32,
+    dropped: u64,
+}
+
+impl Total {
+    fn add(total: Option<Self>, report: &RenderReport, film: &Film) -> Self {
+        let mut sum = report.clone();
+        if let Some(before) = &total {
+            sum.rays.primary += before.report.rays.primary;
+            sum.rays.secondary += before.report.rays.secondary;
+            sum.visibility.add(&before.report.visibility);
+        }
+        Self {
+            report: sum,
+            samples: film.min_samples(),
+            dropped: film.dropped() + total.map_or(0, |before| before.dropped),
+        }
+    }
+}
