@@ -128,7 +128,19 @@ impl<'a> Stage<'a> {
         } else {
             (Share::All, 256 << 20)
         };
+        let single = !many && !matches!(task.integrator, Integrator::Bidirectional(_));
+        // Where checks mend errors on average, larger patches cost less than they err.
+        let error = if single && guarantee == Guarantee::Unbiased {
+            ErrorReach {
+                point: 14.0,
+                direction: 14.0,
+                ..ErrorReach::all(40.0)
+            }
+        } else {
+            ErrorReach::default()
+        };
         let mut settings = QuantizedSettings {
+            error,
             guarantee,
             share,
             table_bytes,
