@@ -1,7 +1,8 @@
 //! Keys, digests and the law of cluster answers.
 
-use super::digest::Digest;
+use super::digest::{Digest, mix};
 use super::key::{BoundingSphere, Cell, Grids, LightKey, equal_area_square};
+use super::table::{BlockTable, BlockWord, Memory, WordTable};
 use super::{Decisions, ErrorReach, Quantized, QuantizedSettings, Refine};
 use crate::{Endpoint, Epoch, LightEnd, Query, Ray, Visibility};
 use glam::{Vec2, Vec3};
@@ -373,4 +374,62 @@ fn patches_can_be_looked_at() {
     let end = Endpoint::new(Vec3::ZERO, Vec3::Y, f32::INFINITY);
     let query = Query::new(end, LightEnd::Point(light), Ray::between(Vec3::ZERO, light));
     assert_eq!(strategy.patches(&query, Epoch::default(), 0), None);
+}
+
+/// Many threads that overwrite each other in a tiny table: whoever finds an answer finds the right one, as if words could not tear and
+/// tags never lied. (Loads and stores of whole words without order are all that tables do.)
+#[test]
+fn racing_threads_never_read_wrong_answers() {
+    const PAIRS: u64 = 2000;
+    const WORDS: usize = 256;
+    let digest = |pair: u64| mix(1, pair);
+    let visible = |pair: u64| mix(2, pair) & 1 != 0;
+    let block = |pair: u64| {
+        let known = mix(3, pair) as u16;
+        BlockWord {
+            known,
+            visible: known & mix(4, pair) as u16,
+        }
+    };
+    // No two of these pairs share a place and a tag, so nothing excuses a wrong answer.
+    let name = |pair| (digest(pair) >> 32) % WORDS as u64 | (digest(pair) & 0x3fff_ffff) << 8;
+    let mut names: Vec<u64> = (0..PAIRS).map(name).collect();
+    names.sort_unstable();
+    assert!(names.windows(2).all(|two| two[0] != two[1]));
+
+    let words = WordTable::new(4 * WORDS);
+    let blocks = BlockTable::new(8 * WORDS);
+    let found: u64 = std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..8u64)
+            .map(|thread| {
+                let (words, blocks) = (&words, &blocks);
+                scope.spawn(move || {
+                    let mut found = 0;
+                    for step in 0..200_000 {
+                        let random = mix(thread + 5, step);
+                        let pair = random % PAIRS;
+                        if random >> 32 & 1 == 0 {
+                            let memory = Memory {
+                                visible: visible(pair),
+                                contested: false,
+                            };
+                            words.put(digest(pair), memory);
+                            blocks.put(digest(pair), block(pair));
+                            continue;
+                        }
+                        if let Some(memory) = words.get(digest(pair)) {
+                            assert_eq!(memory.visible, visible(pair));
+                            found += 1;
+                        }
+                        let answers = blocks.get(digest(pair));
+                        assert!(answers == block(pair) || answers == BlockWord::default());
+                    }
+                    found
+                })
+            })
+            .collect();
+        threads.into_iter().map(|t| t.join().unwrap()).sum()
+    });
+    // An eighth of the pairs fits; half of the steps look.
+    assert!(found > 20_000, "{found}");
 }
