@@ -292,6 +292,32 @@ impl<'a> Geometry<'a> {
         self.panes().next().is_some()
     }
 
+    /// [`Self::pane_transmittance`] for many rays that run alike: most cross no pane, which is cheaper to find out together.
+    ///
+    /// # Panics
+    /// If the slices differ in length.
+    pub fn pane_transmittance_batch(&self, rays: &[Ray], transmittance: &mut [Vec3]) {
+        let mut crosses = [false; 64];
+        let size = crosses.len();
+        assert_eq!(rays.len(), transmittance.len());
+        transmittance.fill(Vec3::ONE);
+        for panes in self.panes() {
+            for (rays, transmittance) in rays.chunks(size).zip(transmittance.chunks_mut(size)) {
+                let crosses = &mut crosses[..rays.len()];
+                crosses.fill(false);
+                panes.occluded_batch(rays, crosses, &self.filter());
+                for ((ray, colour), _) in rays
+                    .iter()
+                    .zip(transmittance)
+                    .zip(crosses)
+                    .filter(|(_, crosses)| **crosses)
+                {
+                    *colour = self.pane_transmittance(ray);
+                }
+            }
+        }
+    }
+
     /// Share of light, by colour, that the panes along a ray let pass; blockers are not asked.
     pub fn pane_transmittance(&self, ray: &Ray) -> Vec3 {
         /// More panes than this in a row are as good as a wall.

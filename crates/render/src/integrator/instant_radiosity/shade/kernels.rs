@@ -330,10 +330,17 @@ fn tint(
     masks: &[u32; WIDE],
 ) -> [Row; 3] {
     let light = &asker.lights.shared[index * BLOCK + l];
-    let mut tint = [[1.0; WIDE]; 3];
+    let ray = |eye: u32| light.ray_from(asker.ends[eye as usize].origin);
+    let mut rays = [ray(pack.eyes[0]); WIDE];
+    let mut count = 0;
     for lane in lanes_with(masks, l) {
-        let origin = asker.ends[pack.eyes[lane] as usize].origin;
-        let colour = geometry.pane_transmittance(&light.ray_from(origin));
+        rays[count] = ray(pack.eyes[lane]);
+        count += 1;
+    }
+    let mut colours = [Vec3::ONE; WIDE];
+    geometry.pane_transmittance_batch(&rays[..count], &mut colours[..count]);
+    let mut tint = [[1.0; WIDE]; 3];
+    for (lane, colour) in lanes_with(masks, l).zip(colours) {
         for c in 0..3 {
             tint[c][lane] = colour[c];
         }
