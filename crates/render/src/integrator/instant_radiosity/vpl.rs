@@ -330,8 +330,13 @@ fn walk(
             }
         } else {
             events += 1;
-            // The adjoint of shading normals: geometric over shading cosine of the way on.
-            weight *= bent * side.abs() / sample.wi.z.abs();
+            // The adjoint of shading normals: geometric over shading cosine of the way on. A mirror has the same shading cosine on
+            // both ways, by its own normal, which a coat may have apart from the base.
+            weight *= if sample.delta && side > 0.0 {
+                side / cosine
+            } else {
+                bent * side.abs() / sample.wi.z.abs()
+            };
             if side < 0.0 {
                 absorption = path::absorption_behind(&surface).unwrap_or(absorption);
             }
