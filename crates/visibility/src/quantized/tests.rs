@@ -392,7 +392,7 @@ fn racing_threads_never_read_wrong_answers() {
         }
     };
     // No two of these pairs share a place and a tag, so nothing excuses a wrong answer.
-    let name = |pair| (digest(pair) >> 32) % WORDS as u64 | (digest(pair) & 0x3fff_ffff) << 8;
+    let name = |pair| ((digest(pair) >> 32) % WORDS as u64) | (digest(pair) & 0x3fff_ffff) << 8;
     let mut names: Vec<u64> = (0..PAIRS).map(name).collect();
     names.sort_unstable();
     assert!(names.windows(2).all(|two| two[0] != two[1]));
