@@ -29,6 +29,9 @@ pub(super) struct Scratch {
     importance: Vec<f32>,
     active: Vec<u32>,
     next: Vec<u32>,
+    /// Cells and digests of the active questions, and what memory holds of them.
+    keys: Vec<Option<(Cell, u64)>>,
+    memories: Vec<Option<Memory>>,
     misses: Vec<Miss>,
     order: Vec<u32>,
     visible: Vec<bool>,
@@ -133,8 +136,30 @@ fn look_up(
     scratch.misses.clear();
     scratch.found.clear();
     scratch.pending.clear(scratch.active.len());
+    // Keys first, then nothing but loads: a large table's words are far away, and many are waited for at once.
+    scratch.keys.clear();
     for &query in &scratch.active {
-        let Some(clustered) = &scratch.clustered[query as usize] else {
+        scratch
+            .keys
+            .push(scratch.clustered[query as usize].as_ref().map(|clustered| {
+                let cell = strategy.eye_cell(clustered, level);
+                (cell, strategy.digest(&cell, clustered, salt))
+            }));
+    }
+    scratch.memories.clear();
+    for key in &scratch.keys {
+        scratch
+            .memories
+            .push(key.and_then(|(_, digest)| table.get(digest)));
+    }
+    for ((&query, key), &memory) in scratch
+        .active
+        .iter()
+        .zip(&scratch.keys)
+        .zip(&scratch.memories)
+    {
+        let (Some((cell, digest)), Some(clustered)) = (*key, &scratch.clustered[query as usize])
+        else {
             scratch.misses.push(Miss {
                 query,
                 digest: None,
@@ -144,9 +169,7 @@ fn look_up(
             });
             continue;
         };
-        let cell = strategy.eye_cell(clustered, level);
-        let digest = strategy.digest(&cell, clustered, salt);
-        let value = if let Some(memory) = table.get(digest) {
+        let value = if let Some(memory) = memory {
             Value::Known(memory)
         } else if let Some(miss) = scratch.pending.find(digest) {
             Value::Awaited(miss)
