@@ -184,8 +184,19 @@ fn environment_files_light_a_scene() {
 #[cfg(unix)]
 #[test]
 fn after_ctrl_c_resume_ends_in_the_same_bytes() {
+    for integrator in ["path", "bidirectional"] {
+        interrupted_and_resumed(integrator);
+    }
+}
+
+#[cfg(unix)]
+fn interrupted_and_resumed(integrator: &str) {
     let dir = cornell();
-    let base = |samples: u32| format!("render c.glb --size 64x64 --samples {samples} --aov albedo");
+    let base = |samples: u32| {
+        format!(
+            "render c.glb --integrator {integrator} --size 64x64 --samples {samples} --aov albedo"
+        )
+    };
     // Long enough to be interrupted: four times as many samples until it is.
     let mut samples = 64;
     let stopped = loop {
