@@ -1,6 +1,6 @@
 //! From options and files to a world and a view.
 
-use super::args::{Lights, RenderArgs};
+use super::args::{Integrator, Lights, RenderArgs};
 use crate::context::Context;
 use crate::error::CliError;
 use crate::inspect::{bounds, counts};
@@ -8,6 +8,7 @@ use crate::values::{Size, Sun};
 use glam::{Affine3A, Quat, Vec3};
 use occlude_bvh::BuildOptions;
 use occlude_image::{Encoding, Limits, Picture};
+use occlude_render::bsdf::BROAD_ROUGHNESS;
 use occlude_render::camera::View;
 use occlude_render::geometry::Geometry;
 use occlude_render::light::{self, Environment, LightSelection};
@@ -45,6 +46,21 @@ pub fn load(
     if args.diffuse_only {
         for material in &mut scene.materials {
             *material = material.diffuse_only();
+        }
+    }
+    if args.integrator == Integrator::InstantRadiosity {
+        let textured = scene.materials.iter().filter(|material| {
+            let roughest = material
+                .metallic_roughness_texture
+                .map(|_| material.roughness);
+            roughest.is_some_and(|roughness| roughness > BROAD_ROUGHNESS)
+        });
+        let count = textured.count();
+        if count > 0 {
+            context.progress.note(&format!(
+                "{count} materials have textures of roughness: where it is below {BROAD_ROUGHNESS}, reflections are followed; where it is above, \
+                 the shared lights shine on them"
+            ));
         }
     }
     Ok((scene, sky))

@@ -32,6 +32,7 @@ use boundary::Bounced;
 use glam::{Vec2, Vec3};
 use layers::Layers;
 use microfacet::GRAZING;
+pub use split::BROAD_ROUGHNESS;
 pub(crate) use split::Broad;
 use std::f32::consts::FRAC_1_PI;
 

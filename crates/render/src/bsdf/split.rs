@@ -12,9 +12,12 @@ use super::{Bsdf, Cover, Pick, Wall};
 use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
 
-/// Lobes of at least this GGX alpha count as broad (perceptual roughness 0.4): the peak of a rougher one is below 4 times the
-/// value of a white Lambert surface, so that a light among hundreds stays invisible in it.
-const BROAD_ALPHA: f32 = 0.16;
+/// Lobes of at least this perceptual roughness count as broad: the peak of a rougher one is below 4 times the value of a white Lambert
+/// surface, so that a light among hundreds stays invisible in it.
+pub const BROAD_ROUGHNESS: f32 = 0.4;
+
+/// The same as GGX alpha.
+const BROAD_ALPHA: f32 = BROAD_ROUGHNESS * BROAD_ROUGHNESS;
 
 /// The two parts of a [`Bsdf`].
 #[derive(Clone, Copy, Debug)]
