@@ -91,7 +91,7 @@ pub struct RenderArgs {
     )]
     pub camera_look: Option<CameraLook>,
 
-    /// Cameras of frames, as JSON: [{"frame": 0, "eye": [x,y,z], "target": [x,y,z], "fov": DEG}, ...], linear between these keys,
+    /// Cameras of frames, as JSON: [{"frame": 0, "eye": [0, 1, 2], "target": [0, 0, 0], "fov": DEG}, ...], linear between these keys,
     /// held before and after; "fov" and "up" may be left out. {"interpolation": "smooth", "keys": [...]} passes through
     /// the keys without corners
     #[arg(long, value_name = "FILE.json", conflicts_with_all = ["camera", "camera_look", "time"], help_heading = "View")]

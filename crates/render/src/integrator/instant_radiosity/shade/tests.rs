@@ -1,7 +1,5 @@
 //! The loops over packs against eye by eye and light by light in plain form.
 
-use super::kernels::{take_by_kind, wanted_by_kind};
-use super::wide::Plain;
 use super::*;
 use crate::bsdf::{Bsdf, BsdfParameters};
 use crate::sampling::{Sampler, SamplerKind, warp};
@@ -252,6 +250,8 @@ fn the_clamp_is_measured() {
 #[test]
 #[cfg(target_arch = "x86_64")]
 fn instruction_sets_agree_to_the_bit() {
+    use super::kernels::{take_by_kind, wanted_by_kind};
+    use super::wide::Plain;
     let parameters = BsdfParameters {
         roughness: 0.5,
         ..BsdfParameters::default()
