@@ -6,6 +6,9 @@
 //!
 //! Most connections pass nowhere near what moves. Balls around the moving objects tell: first against all connections of a batch of
 //! eyes with one light together, then one by one.
+//!
+//! The paper leaves moving geometry out (Popov 2013 clears its table); this is ours. The wrong tool where most of the world moves, or where
+//! moving things are long and thin: their balls meet most connections, and each of those is traced.
 
 use crate::many::bits;
 use crate::quantized::{Quantized, QuantizedWorker};

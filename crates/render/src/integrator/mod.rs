@@ -261,182 +261,169 @@ impl Sequence {
         job: &Job,
         at_rest: &mut dyn FnMut(&Film),
     ) -> RenderReport {
-        render_next(self, world, view, visibility, settings, film, job, at_rest)
-    }
-}
-
-fn render_next<'a, V: Visibility<Geometry<'a>>>(
-    sequence: &mut Sequence,
-    world: &World<'a>,
-    view: &View,
-    visibility: &V,
-    settings: &RenderSettings,
-    film: &mut Film,
-    job: &Job,
-    at_rest: &mut dyn FnMut(&Film),
-) -> RenderReport {
-    assert_eq!((view.width(), view.height()), (film.width(), film.height()));
-    let Geometry { scene, pose, .. } = *world.geometry;
-    let emission = match settings.integrator {
-        Integrator::Bidirectional(_) => {
-            film.enable_splats();
-            Emission::new(world.lights, scene, pose)
-        }
-        _ => Emission::none(),
-    };
-    let deadline = settings.time_limit.map(|limit| Instant::now() + limit);
-    let workers: Mutex<Vec<Worker<'a, V::Worker>>> = Mutex::new(Vec::new());
-    let pixels = u64::from(film.width()) * u64::from(film.height());
-    let target = settings.samples.end - settings.samples.start;
-    let already: u64 = (0..film.height())
-        .flat_map(|y| (0..film.width()).map(move |x| (x, y)))
-        .map(|(x, y)| u64::from(film.samples_at(x, y)))
-        .sum();
-    job.start_phase("render", pixels * u64::from(target));
-    job.advance(already, 0);
-
-    let layout = Layout::of(settings);
-    let prepared = match settings.integrator {
-        Integrator::InstantRadiosity(wanted) => Some(instant_radiosity::Prepared::new(
-            world, view, settings, wanted, sequence,
-        )),
-        _ => None,
-    };
-    let mut stopped_by = StoppedBy::Samples;
-    let mut round_end = 0;
-    let mut first_round = true;
-    while round_end < target {
-        round_end = if round_end == 0 {
-            layout.first
-        } else {
-            (round_end / layout.together + 1) * layout.together
-        }
-        .min(target);
-        let units = units_until(film, round_end, layout.tile);
-        let shared_film = Mutex::new(&mut *film);
-        let stop = |first_round: bool| {
-            job.is_cancelled()
-                || (!first_round && deadline.is_some_and(|deadline| Instant::now() >= deadline))
-        };
-        units.into_par_iter().for_each(|unit| {
-            if stop(first_round) {
-                return;
+        assert_eq!((view.width(), view.height()), (film.width(), film.height()));
+        let Geometry { scene, pose, .. } = *world.geometry;
+        let emission = match settings.integrator {
+            Integrator::Bidirectional(_) => {
+                film.enable_splats();
+                Emission::new(world.lights, scene, pose)
             }
-            let mut worker = lock(&workers).pop().unwrap_or_else(|| Worker {
-                visibility: visibility.worker(),
-                path: path::Scratch::default(),
-                bidirectional: bidirectional::Scratch::default(),
-                instant_radiosity: instant_radiosity::Scratch::default(),
-                rays: RayCounts::default(),
-            });
-            let before = worker.rays.primary
-                + worker.rays.secondary
-                + visibility.stats(&worker.visibility).traced;
-            let mut tile = lock(&shared_film).tile(unit.x, unit.y, unit.width, unit.height);
-            match settings.integrator {
-                Integrator::Path(limits) => {
-                    path::render_unit(
-                        world,
-                        view,
-                        visibility,
-                        settings,
-                        limits,
-                        &unit,
-                        &mut worker,
-                        &mut tile,
-                    );
+            _ => Emission::none(),
+        };
+        let deadline = settings.time_limit.map(|limit| Instant::now() + limit);
+        let workers: Mutex<Vec<Worker<'a, V::Worker>>> = Mutex::new(Vec::new());
+        let pixels = u64::from(film.width()) * u64::from(film.height());
+        let target = settings.samples.end - settings.samples.start;
+        let already: u64 = (0..film.height())
+            .flat_map(|y| (0..film.width()).map(move |x| (x, y)))
+            .map(|(x, y)| u64::from(film.samples_at(x, y)))
+            .sum();
+        job.start_phase("render", pixels * u64::from(target));
+        job.advance(already, 0);
+
+        let layout = Layout::of(settings);
+        let prepared = match settings.integrator {
+            Integrator::InstantRadiosity(wanted) => Some(instant_radiosity::Prepared::new(
+                world, view, settings, wanted, self,
+            )),
+            _ => None,
+        };
+        let mut stopped_by = StoppedBy::Samples;
+        let mut round_end = 0;
+        let mut first_round = true;
+        while round_end < target {
+            round_end = if round_end == 0 {
+                layout.first
+            } else {
+                (round_end / layout.together + 1) * layout.together
+            }
+            .min(target);
+            let units = units_until(film, round_end, layout.tile);
+            let shared_film = Mutex::new(&mut *film);
+            let stop = |first_round: bool| {
+                job.is_cancelled()
+                    || (!first_round && deadline.is_some_and(|deadline| Instant::now() >= deadline))
+            };
+            units.into_par_iter().for_each(|unit| {
+                if stop(first_round) {
+                    return;
                 }
-                Integrator::Bidirectional(limits) => {
-                    bidirectional::render_unit(
-                        world,
-                        view,
-                        visibility,
-                        settings,
-                        (limits, &emission),
-                        &unit,
-                        &mut worker,
-                        &mut tile,
-                    );
-                }
-                Integrator::AmbientOcclusion { distance } => {
-                    ambient_occlusion::render_unit(
-                        world,
-                        view,
-                        visibility,
-                        settings,
-                        distance,
-                        &unit,
-                        &mut worker,
-                        &mut tile,
-                    );
-                }
-                Integrator::InstantRadiosity(_) => {
-                    if let Some(prepared) = &prepared {
-                        instant_radiosity::render_unit(
+                let mut worker = lock(&workers).pop().unwrap_or_else(|| Worker {
+                    visibility: visibility.worker(),
+                    path: path::Scratch::default(),
+                    bidirectional: bidirectional::Scratch::default(),
+                    instant_radiosity: instant_radiosity::Scratch::default(),
+                    rays: RayCounts::default(),
+                });
+                let before = worker.rays.primary
+                    + worker.rays.secondary
+                    + visibility.stats(&worker.visibility).traced;
+                let mut tile = lock(&shared_film).tile(unit.x, unit.y, unit.width, unit.height);
+                match settings.integrator {
+                    Integrator::Path(limits) => {
+                        path::render_unit(
                             world,
                             view,
                             visibility,
                             settings,
-                            prepared,
+                            limits,
                             &unit,
                             &mut worker,
                             &mut tile,
                         );
                     }
+                    Integrator::Bidirectional(limits) => {
+                        bidirectional::render_unit(
+                            world,
+                            view,
+                            visibility,
+                            settings,
+                            (limits, &emission),
+                            &unit,
+                            &mut worker,
+                            &mut tile,
+                        );
+                    }
+                    Integrator::AmbientOcclusion { distance } => {
+                        ambient_occlusion::render_unit(
+                            world,
+                            view,
+                            visibility,
+                            settings,
+                            distance,
+                            &unit,
+                            &mut worker,
+                            &mut tile,
+                        );
+                    }
+                    Integrator::InstantRadiosity(_) => {
+                        if let Some(prepared) = &prepared {
+                            instant_radiosity::render_unit(
+                                world,
+                                view,
+                                visibility,
+                                settings,
+                                prepared,
+                                &unit,
+                                &mut worker,
+                                &mut tile,
+                            );
+                        }
+                    }
                 }
+                {
+                    let mut film = lock(&shared_film);
+                    film.add_tile(&tile);
+                    for splat in worker.bidirectional.splats.drain(..) {
+                        film.splat(&splat);
+                    }
+                }
+                let after = worker.rays.primary
+                    + worker.rays.secondary
+                    + visibility.stats(&worker.visibility).traced;
+                job.advance(
+                    u64::from(unit.width * unit.height) * unit.samples.len() as u64,
+                    after - before,
+                );
+                lock(&workers).push(worker);
+            });
+            if job.is_cancelled() {
+                stopped_by = StoppedBy::Cancel;
+                break;
             }
+            at_rest(film);
+            first_round = false;
+            if stop(false) && round_end < target {
+                stopped_by = StoppedBy::Time;
+                break;
+            }
+            let checkpoint = round_end.is_power_of_two() || round_end % 16 == 0;
+            if checkpoint
+                && round_end >= 4
+                && settings.noise.is_some_and(|limit| film.noise() <= limit)
+                && round_end < target
             {
-                let mut film = lock(&shared_film);
-                film.add_tile(&tile);
-                for splat in worker.bidirectional.splats.drain(..) {
-                    film.splat(&splat);
-                }
+                stopped_by = StoppedBy::Noise;
+                break;
             }
-            let after = worker.rays.primary
-                + worker.rays.secondary
-                + visibility.stats(&worker.visibility).traced;
-            job.advance(
-                u64::from(unit.width * unit.height) * unit.samples.len() as u64,
-                after - before,
-            );
-            lock(&workers).push(worker);
-        });
-        if job.is_cancelled() {
-            stopped_by = StoppedBy::Cancel;
-            break;
         }
-        at_rest(film);
-        first_round = false;
-        if stop(false) && round_end < target {
-            stopped_by = StoppedBy::Time;
-            break;
-        }
-        let checkpoint = round_end.is_power_of_two() || round_end % 16 == 0;
-        if checkpoint
-            && round_end >= 4
-            && settings.noise.is_some_and(|limit| film.noise() <= limit)
-            && round_end < target
-        {
-            stopped_by = StoppedBy::Noise;
-            break;
-        }
-    }
 
-    let mut rays = RayCounts {
-        primary: 0,
-        secondary: prepared.as_ref().map_or(0, |prepared| prepared.rays),
-    };
-    let mut stats = VisibilityStats::default();
-    for worker in workers.into_inner().unwrap_or_else(PoisonError::into_inner) {
-        rays.primary += worker.rays.primary;
-        rays.secondary += worker.rays.secondary;
-        stats.add(&visibility.stats(&worker.visibility));
-    }
-    RenderReport {
-        stopped_by,
-        rays,
-        visibility: stats,
-        instant_radiosity: prepared.map(|prepared| prepared.report()),
+        let mut rays = RayCounts {
+            primary: 0,
+            secondary: prepared.as_ref().map_or(0, |prepared| prepared.rays),
+        };
+        let mut stats = VisibilityStats::default();
+        for worker in workers.into_inner().unwrap_or_else(PoisonError::into_inner) {
+            rays.primary += worker.rays.primary;
+            rays.secondary += worker.rays.secondary;
+            stats.add(&visibility.stats(&worker.visibility));
+        }
+        RenderReport {
+            stopped_by,
+            rays,
+            visibility: stats,
+            instant_radiosity: prepared.map(|prepared| prepared.report()),
+        }
     }
 }
 

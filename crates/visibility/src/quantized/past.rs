@@ -6,6 +6,9 @@
 //!
 //! Within a picture nothing is written: tiles read what earlier pictures knew, and note down what they learn. Between pictures
 //! the notes are entered in the order of passes and tiles. So the bytes of a sequence do not depend on the number of threads.
+//!
+//! Not in the paper, whose table is for one picture. The wrong tool for a single picture (nothing is read that was not noted before) and
+//! for lights that are drawn anew each time.
 
 use super::table::BlockWord;
 use std::collections::HashMap;

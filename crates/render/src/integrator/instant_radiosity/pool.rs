@@ -8,7 +8,8 @@
 //! what the stretch brings now.
 //!
 //! All of this holds while surfaces and lights stand still. When they move, or the view jumps so that the old lights have little to do
-//! with it, all lights are drawn anew.
+//! with it, all lights are drawn anew. The lights are those of `vpl` (Keller 1997, chosen as by Segovia et al. 2006); that they stay is ours. The
+//! wrong tool for pictures that must not depend on the ones before.
 
 use super::Prepared;
 use super::shade::{Kind, LightList};
