@@ -1,0 +1,6 @@
+//! Baking: the light that falls on every surface of a scene, stored in textures.
+//!
+//! * [`atlas`] gives every triangle a place of its own on a page of texels.
+
+pub mod atlas;
+pub mod bundle;
