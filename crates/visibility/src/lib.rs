@@ -45,6 +45,7 @@
 //! `docs/integrating.md` in the repository goes through the steps of an integration.
 
 mod exact;
+pub mod field;
 mod many;
 mod occluder;
 pub mod order;
