@@ -19,6 +19,7 @@
 //! about as much as tracing one ray a triangle), and on a GPU.
 
 mod accel;
+mod boxes;
 mod buffer;
 mod build;
 mod filter;

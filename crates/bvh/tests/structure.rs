@@ -384,3 +384,39 @@ fn another_tracer_agrees() {
     }
     assert!(hits > 500 && differ <= 2, "{hits} hits, {differ} differ");
 }
+
+#[test]
+fn boxes_hold_everything_and_get_smaller() {
+    let mut random = Random(21);
+    let soup = Soup::random(&mut random, 3000, 0.1);
+    let placed = InstanceInput {
+        mesh: 0,
+        world_from_object: transform(&mut random),
+    };
+    let apart = BuildOptions {
+        flatten: occlude_bvh::Flatten::Never,
+        ..PLAIN
+    };
+    for (instance, options) in [(identity(), PLAIN), (placed, apart)] {
+        let accel = Accel::build(&[soup.input()], &[instance], &options).unwrap();
+        let mut before = f32::INFINITY;
+        for most in [0, 1, 8, 64, 100_000] {
+            let boxes = accel.boxes(most);
+            assert!((1..=most.max(1)).contains(&boxes.len()), "{most}");
+            for &position in &soup.positions {
+                let p = instance.world_from_object.transform_point3(position);
+                let slack = 1e-5 * p.abs().max_element();
+                let holds = |&(lower, upper): &(Vec3, Vec3)| {
+                    p.cmpge(lower - slack).all() && p.cmple(upper + slack).all()
+                };
+                assert!(boxes.iter().any(holds), "{most}: {p} in no box");
+            }
+            let volume: f32 = (boxes.iter())
+                .map(|(lower, upper)| (*upper - *lower).element_product())
+                .sum();
+            assert!(volume <= before * 1.5, "{most}: {volume} after {before}");
+            before = volume;
+        }
+    }
+    assert!(Soup::default().accel(&PLAIN).boxes(8).is_empty());
+}

@@ -2,10 +2,12 @@
 
 mod alpha;
 mod prefetch;
+mod shaft;
 mod surface;
 mod tracer;
 mod triangle;
 
+pub(crate) use shaft::{Span, Towards};
 pub use surface::Surface;
 pub(crate) use tracer::is_pane;
 pub use tracer::{Geometry, GeometryError, Still};

@@ -1,6 +1,7 @@
 //! A posed scene that rays can meet.
 
 use super::alpha;
+use super::shaft::Boxes;
 use crate::bsdf::{self, Bsdf};
 use glam::{Mat3, Vec3};
 use occlude_bvh::{Accel, Blocker, BuildOptions, HitFilter, InstanceInput, MeshInput};
@@ -36,6 +37,8 @@ pub struct Geometry<'a> {
     still: Part,
     moving: Option<Moving>,
     normal_from_object: Vec<Mat3>,
+    /// Boxes that hold the panes of all parts.
+    pane_boxes: Boxes,
 }
 
 /// The hierarchies over some of the instances.
@@ -228,13 +231,20 @@ impl<'a> Geometry<'a> {
                 Mat3::ZERO
             }
         });
-        Ok(Self {
+        let mut geometry = Self {
             scene,
             pose,
             still,
             moving,
             normal_from_object: normal_from_object.collect(),
-        })
+            pane_boxes: Boxes::default(),
+        };
+        let parts = geometry.panes().count().max(1);
+        let boxes = geometry
+            .panes()
+            .flat_map(|panes| panes.boxes(Boxes::MOST / parts));
+        geometry.pane_boxes = Boxes::new(boxes);
+        Ok(geometry)
     }
 
     fn parts(&self) -> impl Iterator<Item = &Part> {
@@ -290,6 +300,11 @@ impl<'a> Geometry<'a> {
     /// Whether some panes tint shadow rays.
     pub fn has_panes(&self) -> bool {
         self.panes().next().is_some()
+    }
+
+    /// Boxes that hold all panes.
+    pub(crate) fn pane_boxes(&self) -> &Boxes {
+        &self.pane_boxes
     }
 
     /// [`Self::pane_transmittance`] for many rays that run alike: most cross no pane, which is cheaper to find out together.

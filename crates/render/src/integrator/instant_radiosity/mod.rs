@@ -35,7 +35,7 @@ use eye::{Harvest, Walk};
 use glam::{Vec2, Vec3};
 use occlude_visibility::{LightEnd, SharedLight, Visibility, order};
 pub(super) use pool::Pool;
-use shade::{Asker, Kind, LightList, Packs};
+use shade::{Asker, Kind, LightList, Packs, Panes};
 use std::sync::{Mutex, PoisonError};
 
 /// Width and height of a tile, pixels.
@@ -305,10 +305,9 @@ pub(super) fn render_unit<'a, V: Visibility<Geometry<'a>>>(
         let mut asker = Asker {
             lights,
             eyes: &harvest.eyes,
-            ends: &harvest.ends,
             scatterers: &harvest.scatterers,
             clamp: prepared.clamp,
-            panes: world.geometry.has_panes().then_some(world.geometry),
+            panes: Panes::new(world.geometry, lights, packs, &harvest.ends),
             packs,
             clamped: 0.0,
         };

@@ -3,12 +3,12 @@
 #![allow(clippy::needless_range_loop)]
 
 use super::packs::{ClosedPack, Pack, Scatter};
+use super::panes::lanes_with;
 #[cfg(target_arch = "x86_64")]
 use super::wide::Avx2;
 use super::wide::{Plain, Row, WIDE, Wide};
 use super::{Asker, Kind, LightBlock};
 use crate::bsdf::COEFFICIENTS;
-use crate::geometry::Geometry;
 use glam::Vec3;
 use occlude_visibility::{BLOCK, Correction};
 use std::f32::consts::FRAC_1_PI;
@@ -319,39 +319,6 @@ fn layered(
     scattered
 }
 
-/// What panes let through from light `l` of block `index`, for eyes whose mask has it.
-#[cold]
-fn tint(
-    asker: &Asker,
-    geometry: &Geometry,
-    pack: &Pack,
-    index: usize,
-    l: usize,
-    masks: &[u32; WIDE],
-) -> [Row; 3] {
-    let light = &asker.lights.shared[index * BLOCK + l];
-    let ray = |eye: u32| light.ray_from(asker.ends[eye as usize].origin);
-    let mut rays = [ray(pack.eyes[0]); WIDE];
-    let mut count = 0;
-    for lane in lanes_with(masks, l) {
-        rays[count] = ray(pack.eyes[lane]);
-        count += 1;
-    }
-    let mut colours = [Vec3::ONE; WIDE];
-    geometry.pane_transmittance_batch(&rays[..count], &mut colours[..count]);
-    let mut tint = [[1.0; WIDE]; 3];
-    for (lane, colour) in lanes_with(masks, l).zip(colours) {
-        for c in 0..3 {
-            tint[c][lane] = colour[c];
-        }
-    }
-    tint
-}
-
-fn lanes_with(masks: &[u32; WIDE], l: usize) -> impl Iterator<Item = usize> + '_ {
-    (0..WIDE).filter(move |&lane| masks[lane] >> l & 1 != 0)
-}
-
 /// What a pack's eyes get from the lights of block `index` that are in their masks, without [`Pack::weight`], and whether the bound
 /// on the geometry term has bounded any of it.
 #[inline(always)]
@@ -371,6 +338,10 @@ fn shine<W: Wide, const KIND: u8, const SHAPE: u8>(
     let mut sums = [W::splat(0.0); 3];
     let mut bounded = W::splat_bits(0);
     let mut left = masks.iter().fold(0, |all, mask| all | mask);
+    let panes = asker.panes.as_ref().and_then(|panes| {
+        let among = panes.of_block(p, index);
+        (among != 0).then_some((panes, among))
+    });
     while left != 0 {
         let l = left.trailing_zeros() as usize % BLOCK;
         left &= left - 1;
@@ -395,10 +366,11 @@ fn shine<W: Wide, const KIND: u8, const SHAPE: u8>(
                 terms = Vectors::load(&rows).0;
             }
         }
-        if let Some(geometry) = asker.panes {
-            let tint = Vectors::<W>::load(&tint(asker, geometry, pack, index, l, masks)).0;
+        if let Some((panes, among)) = panes
+            && let Some(tint) = panes.tint((p, pack), (index, l), masks, among)
+        {
             for c in 0..3 {
-                terms[c] = terms[c].mul(tint[c]);
+                terms[c] = terms[c].mul(W::load(&tint[c]));
             }
         }
         for c in 0..3 {

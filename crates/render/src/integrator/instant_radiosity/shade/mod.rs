@@ -8,12 +8,13 @@
 
 mod kernels;
 mod packs;
+mod panes;
 mod wide;
 
-use crate::geometry::Geometry;
 use glam::Vec3;
-use occlude_visibility::{BLOCK, Correction, EyeSample, ManyLights, SharedLight};
+use occlude_visibility::{BLOCK, Correction, ManyLights, SharedLight};
 pub(super) use packs::{Closed, Eye, Layered, Packs, Scatter, Scatterers};
+pub(super) use panes::Panes;
 
 /// A number for each light of a block.
 type Lanes = [f32; BLOCK];
@@ -139,12 +140,11 @@ impl LightList {
 pub(super) struct Asker<'a> {
     pub(super) lights: &'a LightList,
     pub(super) eyes: &'a [Eye],
-    pub(super) ends: &'a [EyeSample],
     pub(super) scatterers: &'a Scatterers,
     /// Bound on the geometry term of patches.
     pub(super) clamp: f32,
     /// Where there are panes that tint light.
-    pub(super) panes: Option<&'a Geometry<'a>>,
+    pub(super) panes: Option<Panes<'a>>,
     /// The same eyes; gathers what the lights bring.
     pub(super) packs: &'a mut Packs,
     /// Sum of what the clamp took away, all channels.

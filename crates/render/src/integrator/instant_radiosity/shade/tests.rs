@@ -2,9 +2,12 @@
 
 use super::*;
 use crate::bsdf::{Bsdf, BsdfParameters};
+use crate::geometry::Geometry;
 use crate::sampling::{Sampler, SamplerKind, warp};
 use glam::{Mat3, Vec2};
-use occlude_visibility::{Endpoint, LightEnd};
+use occlude_bvh::BuildOptions;
+use occlude_scene::{Material, Mesh, Pose, procedural};
+use occlude_visibility::{Endpoint, EyeSample, LightEnd};
 use std::f32::consts::FRAC_1_PI;
 
 fn numbers(seed: u64) -> impl FnMut() -> [f32; 4] {
@@ -152,7 +155,6 @@ fn ask<R>(
     let mut asker = Asker {
         lights: list,
         eyes: &scene.eyes,
-        ends: &scene.ends,
         scatterers: &scene.scatterers,
         clamp,
         panes: None,
@@ -299,6 +301,77 @@ fn corrections_add_single_lights() {
     assert!((lost_again - 2.0 * lost).abs() < 1e-4 * lost);
     for (whole, added) in whole.iter().zip(&added) {
         assert!((*added - *whole * 2.0).abs().max_element() <= 1e-4 * whole.max_element());
+    }
+}
+
+/// Panes that are culled by boxes tint nothing, and what is left is tinted as ray by ray.
+#[test]
+fn panes_tint_as_ray_by_ray() {
+    let mut next = numbers(17);
+    let parameters = BsdfParameters::default();
+    let eyes = eyes(&parameters, &mut next);
+    let mut packs = Packs::default();
+    packs.gather(&eyes.eyes, &eyes.scatterers);
+    let mut scene = procedural::build(procedural::Name::Cornell, None, 0);
+    let first = scene.instances[0].mesh as usize;
+    scene.materials.push(Material {
+        base_color: glam::Vec4::new(0.9, 0.7, 0.5, 1.0),
+        metallic: 0.0,
+        roughness: 0.0,
+        transmission: 1.0,
+        ..Material::default()
+    });
+    for (triangles, size) in [(1, 1.0), (6, 0.5), (300, 0.1)] {
+        let mut mesh = Mesh {
+            material: scene.materials.len() as u32 - 1,
+            ..Mesh::default()
+        };
+        for triangle in 0..triangles {
+            let corner = Vec3::from_slice(&next()) * 4.0 - 2.0;
+            for _ in 0..3 {
+                let off = Vec3::from_slice(&next()) * 2.0 - 1.0;
+                mesh.positions.push(corner + off * size);
+            }
+            mesh.triangles.push([0, 1, 2].map(|i| 3 * triangle + i));
+        }
+        scene.meshes[first] = mesh;
+        let pose = Pose::at(&scene, 0.0);
+        let geometry = Geometry::new(&scene, &pose, &BuildOptions::default()).unwrap();
+        assert!(geometry.has_panes());
+        for kind in [Kind::Point, Kind::Direction] {
+            let (mut list, _) = lights(kind, 70, &mut next);
+            if kind == Kind::Direction {
+                list.shared.iter_mut().for_each(|light| light.target = None);
+                for light in &mut list.shared {
+                    if let LightEnd::Point(direction) = light.end {
+                        light.end = LightEnd::Direction(direction);
+                    }
+                }
+            }
+            let panes = Panes::new(&geometry, &list, &packs, &eyes.ends).unwrap();
+            let (mut tinted, mut culled) = (0, 0);
+            for (p, pack) in packs.packs.iter().enumerate() {
+                for (number, light) in list.shared.iter().enumerate() {
+                    let (index, l) = (number / BLOCK, number % BLOCK);
+                    let among = panes.of_block(p, index);
+                    let masks = [1 << l; wide::WIDE];
+                    let found = (among != 0)
+                        .then(|| panes.tint((p, pack), (index, l), &masks, among))
+                        .flatten();
+                    culled += u32::from(found.is_none());
+                    for (lane, &eye) in pack.eyes.iter().enumerate() {
+                        let ray = light.ray_from(eyes.ends[eye as usize].origin);
+                        let wanted = geometry.pane_transmittance(&ray);
+                        let found =
+                            found.map_or(Vec3::ONE, |rows| Vec3::from_array(rows.map(|r| r[lane])));
+                        assert_eq!(found, wanted, "{kind:?}, eye {eye}, light {number}");
+                        tinted += u32::from(wanted != Vec3::ONE);
+                    }
+                }
+            }
+            assert!(tinted > 5, "{kind:?}, {triangles}: {tinted}");
+            assert!(culled > 20 || size < 1.0, "{kind:?}, {triangles}: {culled}");
+        }
     }
 }
 
