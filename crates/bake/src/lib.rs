@@ -1,6 +1,8 @@
 //! Baking: the light that falls on every surface of a scene, stored in textures.
 //!
-//! * [`atlas`] gives every triangle a place of its own on a page of texels.
+//! * [`atlas`] gives every triangle a place of its own on a page of texels;
+//! * [`gather`] finds the light at points by path tracing.
 
 pub mod atlas;
 pub mod bundle;
+pub mod gather;

@@ -14,6 +14,7 @@ mod progress;
 mod render;
 mod scene;
 mod signals;
+mod sky;
 mod stats;
 mod values;
 

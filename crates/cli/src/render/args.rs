@@ -4,7 +4,8 @@ use super::strategy::{self, GuaranteeName, Strategy};
 use crate::error::CliError;
 use crate::output;
 use crate::picture::{Aov, aovs};
-use crate::values::{self, Frames, Look as CameraLook, Renewal, Shard, Size, Sun};
+use crate::sky::SkyArgs;
+use crate::values::{self, Frames, Look as CameraLook, Renewal, Shard, Size};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Args, ValueEnum};
 use occlude_image::{Format, ToneMap};
@@ -127,27 +128,8 @@ pub struct RenderArgs {
     #[arg(long, value_enum, default_value_t = Filter::Box, help_heading = "View")]
     pub filter: Filter,
 
-    /// Latitude-longitude sky (.hdr, .exr): row 0 is up, the middle column lies along +X
-    #[arg(long, value_name = "FILE", help_heading = "Light")]
-    pub environment: Option<PathBuf>,
-
-    /// Turn the sky about +Y, degrees, counterclockwise seen from above
-    #[arg(long, value_name = "DEG", default_value = "0", value_parser = values::number, allow_hyphen_values = true, help_heading = "Light")]
-    pub environment_rotation: f32,
-
-    /// Factor on the sky's radiance
-    #[arg(long, value_name = "X", default_value = "1", value_parser = values::not_negative, allow_negative_numbers = true, help_heading = "Light")]
-    pub environment_scale: f32,
-
-    /// Add a sun: azimuth (from +X towards +Z) and elevation in degrees, and its irradiance on a facing surface
-    /// [default: pi, which a white surface shows as radiance 1]
-    #[arg(
-        long,
-        value_name = "AZ,EL[,IRRADIANCE]",
-        allow_hyphen_values = true,
-        help_heading = "Light"
-    )]
-    pub sun: Option<Sun>,
+    #[command(flatten)]
+    pub sky: SkyArgs,
 
     /// path: all light paths; bidirectional: the same from both ends, for caustics and light that comes by detours; direct: light that comes straight from lights; instant-radiosity: many virtual lights, no noise in diffuse rooms; ao: ambient occlusion, white surfaces in an even sky
     #[arg(long, value_enum, default_value_t = Integrator::Path, help_heading = "Work")]
@@ -329,7 +311,7 @@ impl RenderArgs {
         }
         let files = [
             Some(&self.scene),
-            self.environment.as_ref(),
+            self.sky.environment.as_ref(),
             self.camera_path.as_ref(),
         ];
         let inputs: Vec<&Path> = files.into_iter().flatten().map(PathBuf::as_path).collect();

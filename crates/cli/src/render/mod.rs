@@ -372,8 +372,8 @@ fn fingerprint(
             args.records_features(),
             &args.visibility,
             args.guarantee,
-            args.environment_rotation,
-            args.environment_scale
+            args.sky.environment_rotation,
+            args.sky.environment_scale
         )
     );
     let mut hash = occlude_scene::fingerprint(scene, pose);

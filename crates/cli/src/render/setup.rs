@@ -4,28 +4,21 @@ use super::args::{Integrator, Lights, RenderArgs};
 use crate::context::Context;
 use crate::error::CliError;
 use crate::inspect::{bounds, counts};
-use crate::values::{Size, Sun};
-use glam::{Affine3A, Quat, Vec3};
+use crate::values::Size;
 use occlude_bvh::BuildOptions;
-use occlude_image::{Encoding, Limits, Picture};
+use occlude_image::Picture;
 use occlude_render::bsdf::BROAD_ROUGHNESS;
 use occlude_render::camera::View;
 use occlude_render::geometry::Geometry;
-use occlude_render::light::{self, Environment, LightSelection};
-use occlude_scene::{Light, LightKind, Node, Pose, Scene};
+use occlude_render::light::{self, LightSelection};
+use occlude_scene::{Pose, Scene};
 use std::path::Path;
-
-/// How wide the sun is, seen from the earth.
-const SUN_DIAMETER_DEGREES: f32 = 0.53;
 
 pub fn load(
     args: &RenderArgs,
     context: &mut Context,
 ) -> Result<(Scene, Option<Picture>), CliError> {
-    let sky = match &args.environment {
-        Some(path) => Some(load_sky(path, context)?),
-        None => None,
-    };
+    let sky = args.sky.load(context)?;
     let mut scene = Scene::load(
         &args.scene,
         args.gltf_scene.as_deref(),
@@ -40,9 +33,7 @@ pub fn load(
             "the scene holds no triangles: choose another with --gltf-scene or export its meshes",
         ));
     }
-    if let Some(sun) = &args.sun {
-        add_sun(&mut scene, sun);
-    }
+    args.sky.add_sun(&mut scene);
     if args.diffuse_only {
         for material in &mut scene.materials {
             *material = material.diffuse_only();
@@ -66,48 +57,6 @@ pub fn load(
     Ok((scene, sky))
 }
 
-fn load_sky(path: &Path, context: &Context) -> Result<Picture, CliError> {
-    let limits = context
-        .common
-        .memory
-        .map_or_else(Limits::default, |max_bytes| Limits { max_bytes });
-    let opened = occlude_image::read(path, &limits)?;
-    if opened.repaired > 0 {
-        context.warn(format_args!(
-            "{} pixels were not finite and count as black: {}",
-            opened.repaired,
-            path.display()
-        ));
-    }
-    if opened.encoding == Encoding::Display {
-        context.warn(format_args!(
-            "a PNG holds display colours, bright lights are lost: {}: better use .hdr or .exr",
-            path.display()
-        ));
-    }
-    Ok(opened.picture)
-}
-
-/// Adds a directional light and the node that turns it.
-fn add_sun(scene: &mut Scene, sun: &Sun) {
-    let node = scene.nodes.len() as u32;
-    // Lights shine along -Z of their node, so its +Z points to the sun.
-    let rotation = Quat::from_rotation_arc(Vec3::Z, sun.towards());
-    scene.nodes.push(Node {
-        name: "sun".to_owned(),
-        parent: None,
-        parent_from_node: Affine3A::from_quat(rotation),
-    });
-    scene.lights.push(Light {
-        name: "sun".to_owned(),
-        node,
-        intensity: Vec3::splat(sun.irradiance),
-        kind: LightKind::Directional {
-            angular_diameter: SUN_DIAMETER_DEGREES.to_radians(),
-        },
-    });
-}
-
 pub fn build<'a>(
     args: &RenderArgs,
     scene: &'a Scene,
@@ -125,9 +74,7 @@ pub fn lights(
     pose: &Pose,
     sky: Option<&Picture>,
 ) -> light::Lights {
-    let rotation = args.environment_rotation.to_radians();
-    let environment =
-        sky.map(|sky| Environment::from_picture(sky, rotation, args.environment_scale));
+    let environment = args.sky.environment(sky);
     let selection = match args.lights {
         Lights::Uniform => LightSelection::Uniform,
         Lights::Power => LightSelection::Power,

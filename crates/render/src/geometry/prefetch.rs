@@ -13,9 +13,9 @@ use std::ops::Range;
 const GROUP: usize = 8;
 
 impl Geometry<'_> {
-    /// To be called before hit `next` is shaded, hits being shaded in order.
+    /// To be called before hit `next` is shaded, hits being shaded in order: asks memory for what the following ones will read.
     #[inline]
-    pub(crate) fn prefetch(&self, hits: &[Option<Hit>], next: usize) {
+    pub fn prefetch(&self, hits: &[Option<Hit>], next: usize) {
         if !next.is_multiple_of(GROUP) {
             return;
         }
