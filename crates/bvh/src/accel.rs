@@ -647,6 +647,31 @@ impl Accel {
         }
     }
 
+    /// [`Self::closest`] for many rays of which neighbours run alike: from one point through neighbouring pixels, say. Finds
+    /// the same distances as [`Self::closest_batch`]; of surfaces at the same distance perhaps another. Rays that do not run
+    /// alike cost somewhat more than there.
+    ///
+    /// # Panics
+    /// If the slices differ in length.
+    pub fn closest_coherent(
+        &self,
+        rays: &[Ray],
+        hits: &mut [Option<Hit>],
+        filter: &impl HitFilter,
+    ) {
+        assert_eq!(rays.len(), hits.len());
+        // SAFETY: as in `trace`.
+        unsafe {
+            match self.simd {
+                #[cfg(target_arch = "x86_64")]
+                Simd::Avx2 => Avx2::closest_coherent(self, rays, filter, hits),
+                #[cfg(target_arch = "aarch64")]
+                Simd::Neon => Neon::closest_coherent(self, rays, filter, hits),
+                _ => Portable::closest_coherent(self, rays, filter, hits),
+            }
+        }
+    }
+
     /// What the structure holds.
     pub fn stats(&self) -> Stats {
         let trees = || std::iter::once(&self.top).chain(&self.trees);

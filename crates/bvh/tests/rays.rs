@@ -96,6 +96,69 @@ fn instances_match_flattened_and_brute_force() {
     assert!(differ <= 4, "{differ} of {} rays differ", 2 * rays.len());
 }
 
+/// Rays through the texels of a hemisphere's map, row by row in packets of 4 x 2.
+fn fan(origin: Vec3, size: usize) -> Vec<Ray> {
+    let mut rays = Vec::new();
+    for (y, x) in (0..size / 2).flat_map(|y| (0..size / 4).map(move |x| (2 * y, 4 * x))) {
+        for k in 0..8 {
+            let at = |i: usize| 2.0 * (i as f32 + 0.5) / size as f32 - 1.0;
+            let (s, t) = (at(x + k % 4), at(y + k / 4));
+            let z = 1.0 - s * s - t * t;
+            rays.push(Ray::new(origin, Vec3::new(2.0 * s, 2.0 * t, z)));
+        }
+    }
+    rays
+}
+
+#[test]
+fn coherent_batches_find_the_same_distances_as_single_rays() {
+    let mut random = Random(17);
+    for (count, size) in [(1, 3.0), (9, 3.0), (300, 1.0), (3000, 0.5)] {
+        let soup = Soup::random(&mut random, count, size);
+        let mut rays = fan(Vec3::splat(0.05), 32);
+        rays.extend(self::rays(&mut random, 501));
+        rays[13].direction = Vec3::ZERO;
+        rays[99].t_max = 0.2;
+        for options in [BuildOptions::default(), watertight()] {
+            let accel = soup.accel(&options);
+            for accel in each_simd(&accel) {
+                let mut together = vec![None; rays.len()];
+                accel.closest_coherent(&rays, &mut together, &NoFilter);
+                for (ray, hit) in rays.iter().zip(&together) {
+                    let alone = accel.closest(ray, &NoFilter);
+                    assert_eq!(hit.map(|hit| hit.t), alone.map(|hit| hit.t), "{ray:?}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn coherent_batches_enter_instances() {
+    let mut random = Random(18);
+    let mesh = Soup::random(&mut random, 150, 1.0);
+    let instances: Vec<InstanceInput> = (0..40)
+        .map(|_| InstanceInput {
+            mesh: 0,
+            world_from_object: transform(&mut random),
+        })
+        .collect();
+    let options = BuildOptions {
+        flatten: Flatten::Never,
+        ..Default::default()
+    };
+    let accel = Accel::build(&[mesh.input()], &instances, &options).unwrap();
+    for accel in each_simd(&accel) {
+        let rays = fan(Vec3::splat(0.3), 64);
+        let mut together = vec![None; rays.len()];
+        accel.closest_coherent(&rays, &mut together, &NoFilter);
+        for (ray, hit) in rays.iter().zip(&together) {
+            let alone = accel.closest(ray, &NoFilter);
+            assert_eq!(hit.map(|hit| hit.t), alone.map(|hit| hit.t), "{ray:?}");
+        }
+    }
+}
+
 #[test]
 fn nothing_is_hit_where_nothing_is() {
     let ray = Ray::new(Vec3::ZERO, Vec3::Z);

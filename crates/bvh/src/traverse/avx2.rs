@@ -122,6 +122,19 @@ impl Slabs for Avx2Slabs {
         unsafe { _mm256_storeu_ps(distances.as_mut_ptr(), near) };
         distances
     }
+
+    #[inline(always)]
+    unsafe fn lower(nearest: &mut [f32; WIDTH], near: __m256, mask: u32) {
+        // SAFETY: the processor has AVX2, as promised by the caller; the array has eight floats.
+        unsafe {
+            let lanes = _mm256_setr_epi32(1, 2, 4, 8, 16, 32, 64, 128);
+            let mask = _mm256_and_si256(_mm256_set1_epi32(mask.cast_signed()), lanes);
+            let met = _mm256_castsi256_ps(_mm256_cmpeq_epi32(mask, lanes));
+            let before = _mm256_loadu_ps(nearest.as_ptr());
+            let lower = _mm256_blendv_ps(before, _mm256_min_ps(before, near), met);
+            _mm256_storeu_ps(nearest.as_mut_ptr(), lower);
+        }
+    }
 }
 
 #[derive(Clone, Copy)]

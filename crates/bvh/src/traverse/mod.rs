@@ -254,6 +254,21 @@ pub(crate) trait Slabs: Sized {
     /// # Safety
     /// The processor has the features of the [`Isa`].
     unsafe fn distances(near: Self::Near) -> [f32; WIDTH];
+
+    /// Lowers `nearest`, by child, to where a ray enters the children in `mask`.
+    ///
+    /// # Safety
+    /// The processor has the features of the [`Isa`].
+    #[inline(always)]
+    unsafe fn lower(nearest: &mut [f32; WIDTH], near: Self::Near, mask: u32) {
+        // SAFETY: as promised by the caller.
+        let distances = unsafe { Self::distances(near) };
+        for (lane, (nearest, distance)) in nearest.iter_mut().zip(distances).enumerate() {
+            if mask >> lane & 1 != 0 {
+                *nearest = nearest.min(distance);
+            }
+        }
+    }
 }
 
 /// The nearest child that the ray meets before `t_max`, the others go on the stack, the farthest first. If there is
@@ -426,6 +441,13 @@ pub(crate) trait Isa {
         filter: &F,
         occluded: &mut [bool],
     );
+    /// Closest-hit for eight rays at most, together.
+    unsafe fn nearest_packet<F: HitFilter, const TOP: bool, const WATERTIGHT: bool>(
+        accel: &Accel,
+        rays: &[Ray],
+        filter: &F,
+        hits: &mut [Option<Hit>],
+    );
     /// Any-hit for many rays.
     unsafe fn occluded_batch<F: HitFilter>(
         accel: &Accel,
@@ -435,6 +457,13 @@ pub(crate) trait Isa {
     );
     /// Closest-hit for many rays.
     unsafe fn closest_batch<F: HitFilter>(
+        accel: &Accel,
+        rays: &[Ray],
+        filter: &F,
+        hits: &mut [Option<Hit>],
+    );
+    /// Closest-hit for many rays, neighbours together.
+    unsafe fn closest_coherent<F: HitFilter>(
         accel: &Accel,
         rays: &[Ray],
         filter: &F,
@@ -716,6 +745,21 @@ macro_rules! entry_points {
         unsafe fn closest_batch<F: HitFilter>(accel: &Accel, rays: &[Ray], filter: &F, hits: &mut [Option<Hit>]) {
             // SAFETY: as promised by the caller.
             unsafe { super::closest_batch::<Self, F>(accel, rays, filter, hits) }
+        }
+        $(#[target_feature(enable = $feature)])?
+        unsafe fn nearest_packet<F: HitFilter, const TOP: bool, const WATERTIGHT: bool>(
+            accel: &Accel,
+            rays: &[Ray],
+            filter: &F,
+            hits: &mut [Option<Hit>],
+        ) {
+            // SAFETY: as promised by the caller.
+            unsafe { super::packet::nearest_packet::<Self, F, TOP, WATERTIGHT>(accel, rays, filter, hits) }
+        }
+        $(#[target_feature(enable = $feature)])?
+        unsafe fn closest_coherent<F: HitFilter>(accel: &Accel, rays: &[Ray], filter: &F, hits: &mut [Option<Hit>]) {
+            // SAFETY: as promised by the caller.
+            unsafe { super::packet::closest_coherent::<Self, F>(accel, rays, filter, hits) }
         }
     };
 }

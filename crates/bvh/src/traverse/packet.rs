@@ -1,4 +1,4 @@
-//! Any-hit for eight rays at a time.
+//! Eight rays at a time.
 //!
 //! All rays of a packet that met a node test it one after the other. Their tests do not wait for each other, so that the
 //! processor overlaps them, and a node is fetched and a branch mispredicted once for all instead of once a ray. The sets of
@@ -6,13 +6,14 @@
 //! itself, as the single rays do: rays that diverge cost little more than those.
 //!
 //! Fuetterling, Lojewski, Pfreundt, Ebert 2015, "Efficient ray tracing kernels for modern CPU architectures", trace larger
-//! streams in this way. The wrong tool for closest hits, where each ray wants an order of its own.
+//! streams in this way. For closest hits the children are visited by where the first ray of the set enters them: the wrong tool where
+//! rays do not run alike, and each wants an order of its own.
 
-use super::{Edges, Found, Isa, Query, Scope, Slabs, is_valid, keep, walk};
+use super::{Edges, Found, Isa, Query, Scope, Slabs, entry, is_valid, keep, walk};
 use crate::accel::Accel;
 use crate::filter::HitFilter;
-use crate::node::{Child, STACK, WIDTH};
-use occlude_visibility::Ray;
+use crate::node::{Child, NO_TRIANGLE, STACK, WIDTH};
+use occlude_visibility::{Hit, Ray};
 use std::mem::MaybeUninit;
 
 /// Rays of a packet: as many as a byte has bits.
@@ -214,6 +215,221 @@ unsafe fn trace<
                 if now.rays != 0 {
                     break;
                 }
+            }
+        }
+    }
+}
+
+/// [`Isa::closest_coherent`], to be compiled under the features of `I`.
+///
+/// # Safety
+/// As for [`Isa`].
+#[inline(always)]
+pub(super) unsafe fn closest_coherent<I: Isa, F: HitFilter>(
+    accel: &Accel,
+    rays: &[Ray],
+    filter: &F,
+    hits: &mut [Option<Hit>],
+) {
+    for (rays, hits) in rays.chunks(PACKET).zip(hits.chunks_mut(PACKET)) {
+        // SAFETY: as promised by the caller.
+        unsafe {
+            match (accel.has_placed(), accel.is_watertight()) {
+                (false, false) => I::nearest_packet::<F, false, false>(accel, rays, filter, hits),
+                (false, true) => I::nearest_packet::<F, false, true>(accel, rays, filter, hits),
+                (true, false) => I::nearest_packet::<F, true, false>(accel, rays, filter, hits),
+                (true, true) => I::nearest_packet::<F, true, true>(accel, rays, filter, hits),
+            }
+        }
+    }
+}
+
+/// [`Isa::nearest_packet`], to be compiled under the features of `I`.
+///
+/// # Safety
+/// As for [`Isa`].
+#[inline(always)]
+pub(super) unsafe fn nearest_packet<
+    I: Isa,
+    F: HitFilter,
+    const TOP: bool,
+    const WATERTIGHT: bool,
+>(
+    accel: &Accel,
+    rays: &[Ray],
+    filter: &F,
+    hits: &mut [Option<Hit>],
+) {
+    // SAFETY: as promised by the caller.
+    unsafe {
+        if WATERTIGHT {
+            nearest::<I, I::Tight, F, TOP, true>(accel, rays, filter, hits);
+        } else {
+            nearest::<I, I::Thin, F, TOP, false>(accel, rays, filter, hits);
+        }
+    }
+}
+
+/// A child that waits, where the first ray enters it (an [`entry`]), and which rays met it.
+#[derive(Clone, Copy)]
+struct Ordered {
+    entry: u64,
+    rays: u32,
+}
+
+#[inline(always)]
+unsafe fn nearest<
+    I: Isa,
+    E: Edges<WATERTIGHT>,
+    F: HitFilter,
+    const TOP: bool,
+    const WATERTIGHT: bool,
+>(
+    accel: &Accel,
+    rays: &[Ray],
+    filter: &F,
+    hits: &mut [Option<Hit>],
+) {
+    let tree = accel.top();
+    let mut slabs = [const { MaybeUninit::<I::Slabs>::uninit() }; PACKET];
+    let mut edges = [const { MaybeUninit::<E>::uninit() }; PACKET];
+    let mut found = [const { MaybeUninit::<Found>::uninit() }; PACKET];
+    // Where each ray stops so far: kept apart, so that all are compared at once.
+    let mut ends = [f32::NEG_INFINITY; PACKET];
+    hits.fill(None);
+    if tree.nodes.is_empty() {
+        return;
+    }
+    let mut valid = 0;
+    for (k, ray) in rays.iter().enumerate().take(PACKET) {
+        if is_valid(ray) {
+            // SAFETY: as promised by the caller.
+            unsafe {
+                slabs[k].write(I::Slabs::new(ray));
+                edges[k].write(E::new(ray));
+            }
+            ends[k] = found[k].write(Found::nothing(ray)).t;
+            valid |= 1u32 << k;
+        }
+    }
+    let mut stack = [const { MaybeUninit::<Ordered>::uninit() }; STACK];
+    let mut waiting = 0;
+    let mut now = Child::node(0);
+    let mut left = valid;
+    // SAFETY: the tree is valid: a child that is met names a node, blocks or an instance that exist, and no way down is
+    // longer than MAX_DEPTH, so that STACK suffices; entries below `waiting` were written. A ray in a set is valid, so that
+    // its slabs, edges and hit were written, and there are as many answers as rays.
+    unsafe {
+        'visit: loop {
+            if left & left.wrapping_sub(1) == 0 {
+                if left != 0 {
+                    let k = take(&mut left);
+                    let query = Query {
+                        accel,
+                        ray: rays.get_unchecked(k),
+                        filter,
+                    };
+                    let scope = Scope::top(&query);
+                    let found = found[k].assume_init_mut();
+                    let (slabs, edges) = (slabs[k].assume_init_ref(), edges[k].assume_init_ref());
+                    walk::<I, E, F, false, TOP, WATERTIGHT>(
+                        &query, &scope, slabs, edges, now, found,
+                    );
+                    ends[k] = found.t;
+                }
+            } else if !now.is_leaf() {
+                let node = tree.nodes.get_unchecked(now.index());
+                let mut met = 0;
+                let mut distances = [f32::INFINITY; WIDTH];
+                while left != 0 {
+                    let k = take(&mut left);
+                    let (mask, near) = slabs[k].assume_init_ref().test(node, ends[k]);
+                    met |= spread(mask) << k;
+                    I::Slabs::lower(&mut distances, near, mask);
+                }
+                let base = waiting;
+                while met != 0 {
+                    let lane = met.trailing_zeros() as usize / 8 % WIDTH;
+                    let rays = (met >> (8 * lane)) as u32 & 0xff;
+                    met &= !(0xff << (8 * lane));
+                    let child = *node.children.get_unchecked(lane);
+                    let new = Ordered {
+                        entry: entry(distances[lane], child),
+                        rays,
+                    };
+                    let mut at = waiting;
+                    while at > base {
+                        let below = stack.get_unchecked(at - 1).assume_init();
+                        if below.entry >= new.entry {
+                            break;
+                        }
+                        stack.get_unchecked_mut(at).write(below);
+                        at -= 1;
+                    }
+                    stack.get_unchecked_mut(at).write(new);
+                    waiting += 1;
+                }
+                if waiting > base + 1 {
+                    let second = stack.get_unchecked(waiting - 2).assume_init();
+                    I::prefetch(tree, Child(second.entry as u32));
+                }
+            } else {
+                while left != 0 {
+                    let k = take(&mut left);
+                    let query = Query {
+                        accel,
+                        ray: rays.get_unchecked(k),
+                        filter,
+                    };
+                    let found = found[k].assume_init_mut();
+                    if now.is_instance() {
+                        if TOP {
+                            I::enter::<F, false>(&query, now.index() as u32, found);
+                        }
+                    } else {
+                        let scope = Scope::top(&query);
+                        let first = now.index();
+                        for index in first..first + now.block_count() {
+                            let block = tree.blocks.get_unchecked(index);
+                            let lanes = edges[k].assume_init_ref().test(block, found.t);
+                            if lanes.mask != 0 {
+                                keep::<F, false>(
+                                    &query,
+                                    &scope,
+                                    block,
+                                    index as u32,
+                                    &lanes,
+                                    found,
+                                );
+                            }
+                        }
+                    }
+                    ends[k] = found.t;
+                }
+            }
+            loop {
+                if waiting == 0 {
+                    break 'visit;
+                }
+                waiting -= 1;
+                let next = stack.get_unchecked(waiting).assume_init();
+                let distance = f32::from_bits((next.entry >> 32) as u32);
+                let mut near = 0;
+                for (k, &end) in ends.iter().enumerate() {
+                    near |= u32::from(distance <= end) << k;
+                }
+                left = next.rays & near;
+                now = Child(next.entry as u32);
+                if left != 0 {
+                    break;
+                }
+            }
+        }
+        while valid != 0 {
+            let k = take(&mut valid);
+            let found = found[k].assume_init_ref();
+            if found.id != NO_TRIANGLE {
+                *hits.get_unchecked_mut(k) = Some(accel.hit(found));
             }
         }
     }
