@@ -68,6 +68,9 @@ pub struct Scene {
     pub motion: Motion,
     /// Constant environment radiance of the file (`extras.sky`), black by default.
     pub sky: glam::Vec3,
+    /// Nodes whose `extras.texels_per_metre` asks for another density in light maps than the scene's, in ascending order, and that
+    /// density: finite, at least 0.
+    pub texel_densities: Vec<(u32, f32)>,
     /// What the file holds beyond what is drawn, for reports.
     pub contents: Contents,
     /// What was repaired or ignored.

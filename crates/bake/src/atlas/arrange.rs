@@ -4,9 +4,8 @@
 //! texels, and begin and end in texel centres: a bilinear lookup on the chart then reads the chart's texels alone, and two charts that
 //! meet along a straight edge have their texels at the same places along it.
 
-use super::skyline::Skyline;
 use super::unwrap::Charts;
-use super::Layout;
+use super::{Layout, skyline};
 use glam::{DVec2, UVec2, Vec2};
 
 /// A chart that does not fit a page.
@@ -29,10 +28,22 @@ struct Fit {
 }
 
 /// Lays charts out at `density` texels a metre.
-pub(super) fn arrange(mesh: u32, charts: Charts, density: f32, padding: u32, page_size: u32) -> Result<Layout, TooLarge> {
+pub(super) fn arrange(
+    mesh: u32,
+    charts: Charts,
+    density: f32,
+    padding: u32,
+    page_size: u32,
+) -> Result<Layout, TooLarge> {
     let count = charts.count as usize;
     let mut first = vec![0_u32; count + 1];
-    let charted = || charts.of.iter().enumerate().filter(|&(_, &c)| c != Layout::NO_CHART);
+    let charted = || {
+        charts
+            .of
+            .iter()
+            .enumerate()
+            .filter(|&(_, &c)| c != Layout::NO_CHART)
+    };
     for (_, &c) in charted() {
         first[c as usize + 1] += 1;
     }
@@ -53,7 +64,12 @@ pub(super) fn arrange(mesh: u32, charts: Charts, density: f32, padding: u32, pag
     for ends in first.windows(2) {
         let members = &members[ends[0] as usize..ends[1] as usize];
         points.clear();
-        points.extend(members.iter().flat_map(|&t| charts.corners[t as usize]).map(Vec2::as_dvec2));
+        points.extend(
+            members
+                .iter()
+                .flat_map(|&t| charts.corners[t as usize])
+                .map(Vec2::as_dvec2),
+        );
         let fit = fit(&mut points, f64::from(density));
         if fit.cells.max_element() > page_size {
             shrink = shrink.min((page_size - 1) as f32 / fit.cells.max_element() as f32);
@@ -63,10 +79,10 @@ pub(super) fn arrange(mesh: u32, charts: Charts, density: f32, padding: u32, pag
     if shrink < 1.0 {
         return Err(TooLarge { shrink });
     }
-    let places = pack(&fits, padding, page_size);
+    let (places, pieces) = pack(&fits, padding, page_size);
     let mut layout = Layout {
         mesh,
-        pieces: places.pieces,
+        pieces,
         ..Layout::default()
     };
     if layout.pieces.len() > 1 {
@@ -74,7 +90,7 @@ pub(super) fn arrange(mesh: u32, charts: Charts, density: f32, padding: u32, pag
     }
     layout.corners = charts.corners;
     for (chart, ends) in first.windows(2).enumerate() {
-        let (fit, (piece, at)) = (fits[chart], places.of[chart]);
+        let (fit, (piece, at)) = (fits[chart], places[chart]);
         let limit = fit.cells.as_dvec2();
         for &t in &members[ends[0] as usize..ends[1] as usize] {
             let corners = &mut layout.corners[t as usize];
@@ -84,12 +100,17 @@ pub(super) fn arrange(mesh: u32, charts: Charts, density: f32, padding: u32, pag
                 (at.as_dvec2() + local).as_vec2()
             });
             if let Some(slot) = layout.piece_of.get_mut(t as usize) {
-                *slot = piece;
+                *slot = piece as u16;
             }
         }
     }
     // Triangles without a chart are points in the middle of the first texel.
-    for (corners, _) in layout.corners.iter_mut().zip(&charts.of).filter(|(_, c)| **c == Layout::NO_CHART) {
+    for (corners, _) in layout
+        .corners
+        .iter_mut()
+        .zip(&charts.of)
+        .filter(|(_, c)| **c == Layout::NO_CHART)
+    {
         *corners = [Vec2::splat(0.5); 3];
     }
     layout.charts = charts.of;
@@ -106,12 +127,16 @@ fn fit(points: &mut Vec<DVec2>, density: f64) -> Fit {
     let hull = hull(points);
     let bounds = |along: DVec2| {
         let turned = hull.iter().map(|&p| turn(along, p));
-        turned.fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)))
+        turned.fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(low, high), p| {
+            (low.min(p), high.max(p))
+        })
     };
     let mut best = (f64::INFINITY, DVec2::X);
     for k in 0..hull.len() {
         let edge = hull[(k + 1) % hull.len()] - hull[k];
-        let Some(along) = edge.try_normalize() else { continue };
+        let Some(along) = edge.try_normalize() else {
+            continue;
+        };
         let (low, high) = bounds(along);
         let size = high - low;
         // Of rectangles that are as good, the one along the longest edge.
@@ -153,10 +178,18 @@ fn align(length: f64, density: f64) -> Aligned {
     if texels < ONE_TEXEL {
         let span = texels.max(THINNEST);
         let scale = if length > 0.0 { span / length } else { 0.0 };
-        return Aligned { scale, start: 0.5 - 0.5 * span, cells: 1 };
+        return Aligned {
+            scale,
+            start: 0.5 - 0.5 * span,
+            cells: 1,
+        };
     }
     let span = texels.round().clamp(1.0, f64::from(u32::MAX / 2));
-    Aligned { scale: span / length, start: 0.5, cells: span as u32 + 1 }
+    Aligned {
+        scale: span / length,
+        start: 0.5,
+        cells: span as u32 + 1,
+    }
 }
 
 /// The convex hull (Andrew 1979), counter-clockwise. Sorts the points.
@@ -186,40 +219,22 @@ fn hull(points: &mut Vec<DVec2>) -> Vec<DVec2> {
     hull
 }
 
-struct Places {
-    pieces: Vec<UVec2>,
-    of: Vec<(u16, UVec2)>,
-}
-
-/// Packs the charts' rectangles, tall ones first, into pieces that are about as wide as high.
-fn pack(fits: &[Fit], padding: u32, page_size: u32) -> Places {
+/// Packs the charts' rectangles, tall ones first, into pieces: the piece and the place of each chart, and the sizes of the pieces.
+fn pack(fits: &[Fit], padding: u32, page_size: u32) -> (Vec<(u32, UVec2)>, Vec<UVec2>) {
     let mut order: Vec<u32> = (0..fits.len() as u32).collect();
     let cells = |c: u32| fits[c as usize].cells;
     order.sort_unstable_by_key(|&c| (std::cmp::Reverse((cells(c).y, cells(c).x)), c));
-    let padded = |c: u32| cells(c) + padding;
-    let area: u64 = order.iter().map(|&c| u64::from(padded(c).x) * u64::from(padded(c).y)).sum();
-    let widest = order.iter().map(|&c| padded(c).x).max().unwrap_or(1);
-    let page = page_size + padding;
-    let width = ((area as f64 * 1.02).sqrt() as u32 + 1).clamp(widest.min(page), page);
-    let new = || Skyline::new(UVec2::new(width, page));
-    let mut open = vec![new()];
+    let padded: Vec<UVec2> = order.iter().map(|&c| cells(c) + padding).collect();
+    let places = skyline::pack(&padded, page_size + padding);
     let mut of = vec![(0, UVec2::ZERO); fits.len()];
-    for c in order {
-        // Earlier pieces are full but for gaps; only the last two are worth asking.
-        let asked = open.len().saturating_sub(2)..open.len();
-        let found = asked.clone().find_map(|p| open[p].place(padded(c)).map(|at| (p, at)));
-        let (piece, at) = found.unwrap_or_else(|| {
-            open.push(new());
-            let piece = open.len() - 1;
-            // An empty piece takes every chart that fits a page.
-            (piece, open[piece].place(padded(c)).unwrap_or(UVec2::ZERO))
-        });
-        of[c as usize] = (piece as u16, at);
+    let mut pieces = Vec::new();
+    for (&c, &(piece, at)) in order.iter().zip(&places) {
+        of[c as usize] = (piece, at);
+        if pieces.len() <= piece as usize {
+            pieces.resize(piece as usize + 1, UVec2::ZERO);
+        }
+        let size: &mut UVec2 = &mut pieces[piece as usize];
+        *size = size.max(at + cells(c));
     }
-    let mut pieces = vec![UVec2::ZERO; open.len()];
-    for (fit, &(piece, at)) in fits.iter().zip(&of) {
-        let size = &mut pieces[usize::from(piece)];
-        *size = size.max(at + fit.cells);
-    }
-    Places { pieces, of }
+    (of, pieces)
 }

@@ -15,12 +15,11 @@
 mod arrange;
 mod build;
 pub mod density;
-pub mod given;
 mod pages;
 mod skyline;
 pub mod unwrap;
 
-pub use build::{AtlasError, AtlasSettings, Built, Problem, build};
+pub use build::{AtlasError, AtlasSettings, Built, Problem, UnwrapKind, build};
 
 use glam::{UVec2, Vec2};
 
@@ -78,12 +77,17 @@ impl Layout {
 
     /// The piece that a triangle lies on.
     pub fn piece(&self, primitive: u32) -> u32 {
-        self.piece_of.get(primitive as usize).map_or(0, |&p| u32::from(p))
+        self.piece_of
+            .get(primitive as usize)
+            .map_or(0, |&p| u32::from(p))
     }
 
     /// Triangles of a piece that may touch rows `rows` of it, in an order that never changes.
     pub fn in_rows(&self, piece: u32, rows: std::ops::Range<u32>) -> &[u32] {
-        let (Some(buckets), Some(&tallest)) = (self.buckets.get(piece as usize), self.tallest.get(piece as usize)) else {
+        let (Some(buckets), Some(&tallest)) = (
+            self.buckets.get(piece as usize),
+            self.tallest.get(piece as usize),
+        ) else {
             return &[];
         };
         let last = buckets.len() - 1;
@@ -104,7 +108,8 @@ impl Layout {
 
     /// Sorts triangles by rows. Everything else is set.
     fn index_rows(&mut self) {
-        let top = |corners: &[Vec2; 3]| corners.iter().fold(f32::MAX, |y, c| y.min(c.y)).max(0.0) as u32;
+        let top =
+            |corners: &[Vec2; 3]| corners.iter().fold(f32::MAX, |y, c| y.min(c.y)).max(0.0) as u32;
         let bottom = |corners: &[Vec2; 3]| corners.iter().fold(0.0_f32, |y, c| y.max(c.y)) as u32;
         let mut keyed: Vec<(u32, u32, u32)> = Vec::with_capacity(self.corners.len());
         self.tallest = vec![0; self.pieces.len()];
@@ -120,17 +125,25 @@ impl Layout {
         }
         keyed.sort_unstable();
         let mut at = 0;
-        self.buckets = self.pieces.iter().enumerate().map(|(piece, size)| {
-            let mut starts = Vec::with_capacity(size.y.div_ceil(BUCKET_ROWS) as usize + 1);
-            for bucket in 0..size.y.div_ceil(BUCKET_ROWS) {
-                starts.push(at as u32);
-                while keyed.get(at).is_some_and(|k| (k.0, k.1) == (piece as u32, bucket)) {
-                    at += 1;
+        self.buckets = self
+            .pieces
+            .iter()
+            .enumerate()
+            .map(|(piece, size)| {
+                let mut starts = Vec::with_capacity(size.y.div_ceil(BUCKET_ROWS) as usize + 1);
+                for bucket in 0..size.y.div_ceil(BUCKET_ROWS) {
+                    starts.push(at as u32);
+                    while keyed
+                        .get(at)
+                        .is_some_and(|k| (k.0, k.1) == (piece as u32, bucket))
+                    {
+                        at += 1;
+                    }
                 }
-            }
-            starts.push(at as u32);
-            starts
-        }).collect();
+                starts.push(at as u32);
+                starts
+            })
+            .collect();
         self.order = keyed.into_iter().map(|(.., t)| t).collect();
     }
 }
@@ -183,7 +196,8 @@ impl Atlas {
         if layout.charts[primitive as usize] == Layout::NO_CHART {
             return None;
         }
-        let rectangle = self.rectangles[(placement.first_rectangle + layout.piece(primitive)) as usize];
+        let rectangle =
+            self.rectangles[(placement.first_rectangle + layout.piece(primitive)) as usize];
         let offset = rectangle.offset.as_vec2();
         Some((rectangle.page, corners.map(|corner| corner + offset)))
     }

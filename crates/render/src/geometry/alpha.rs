@@ -1,6 +1,6 @@
 //! Cut-outs and coverage: which hits count.
 
-use glam::{Vec2, Vec4};
+use glam::{Vec2, Vec3, Vec4};
 use occlude_scene::{AlphaMode, Material, Mesh, Scene, TextureRef};
 use occlude_visibility::{Hit, Ray};
 
@@ -86,6 +86,27 @@ pub(super) fn base_color(
     color
 }
 
+/// Lambert albedo of a surface of which everything that shines is left out ([`Material::diffuse_only`]): base colour, black if unlit.
+pub fn diffuse_albedo(scene: &Scene, mesh: &Mesh, primitive: u32, u: f32, v: f32) -> Vec3 {
+    let material = &scene.materials[mesh.material as usize];
+    match material.unlit {
+        true => Vec3::ZERO,
+        false => base_color(scene, material, mesh, primitive, u, v).truncate(),
+    }
+}
+
+/// Radiance that leaves the front side of a surface by itself.
+pub fn front_emission(scene: &Scene, mesh: &Mesh, primitive: u32, u: f32, v: f32) -> Vec3 {
+    let material = &scene.materials[mesh.material as usize];
+    match &material.emission_texture {
+        _ if material.unlit => base_color(scene, material, mesh, primitive, u, v).truncate(),
+        Some(texture) if material.emission != Vec3::ZERO => {
+            material.emission * lookup(scene, mesh, texture, primitive, u, v).truncate()
+        }
+        _ => material.emission,
+    }
+}
+
 /// A number in [0, 1) that depends on the ray and the triangle alone.
 fn uniform_of(ray: &Ray, hit: &Hit) -> f32 {
     let mut state = u64::from(hit.instance) << 32 | u64::from(hit.primitive);
@@ -110,7 +131,6 @@ fn uniform_of(ray: &Ray, hit: &Hit) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glam::Vec3;
 
     #[test]
     fn hashed_numbers_are_uniform_over_rays_and_triangles() {

@@ -114,6 +114,7 @@ pub(super) struct Node {
     pub skin: Option<u32>,
     pub camera: Option<u32>,
     pub weights: Option<Vec<f32>>,
+    pub extras: Option<Value>,
     #[serde(default)]
     pub extensions: NodeExtensions,
 }

@@ -129,6 +129,7 @@ pub(crate) fn load(
             return Err(source.fault(&place, &what, "merge meshes or split the scene"));
         }
     }
+    scene.texel_densities = texel_densities(&source, &hierarchy, &mut warnings);
     scene.motion = animation::motion(&source, &hierarchy, &mut budget, &mut warnings)?;
     scene.contents.animations = scene
         .motion
@@ -219,6 +220,30 @@ fn sky(source: &Source, scene: Option<usize>, warnings: &mut Vec<Warning>) -> Ve
             Vec3::ZERO
         }
     }
+}
+
+/// What nodes ask for in `extras.texels_per_metre`.
+fn texel_densities(
+    source: &Source,
+    hierarchy: &Hierarchy,
+    warnings: &mut Vec<Warning>,
+) -> Vec<(u32, f32)> {
+    let mut found = Vec::new();
+    for (node, file, entry) in hierarchy.in_file_order(source) {
+        let extras = entry.extras.as_ref();
+        let Some(wanted) = extras.and_then(|e| e.get("texels_per_metre")) else {
+            continue;
+        };
+        match wanted.as_f64().map(|d| d as f32) {
+            Some(density) if density >= 0.0 && density.is_finite() => found.push((node, density)),
+            _ => warnings.push(Warning::new(
+                &node_place(source, file),
+                "extras.texels_per_metre is not a number of at least 0: it is ignored",
+            )),
+        }
+    }
+    found.sort_unstable_by_key(|&(node, _)| node);
+    found
 }
 
 fn contents(source: &Source, hierarchy: &Hierarchy, scene: Option<usize>) -> Contents {

@@ -19,7 +19,8 @@ impl Unwrap for Conformal {
             density: uvunwrap::Density::Auto { page_size: 1024 },
             ..uvunwrap::Options::default()
         };
-        let atlas = uvunwrap::generate(&[mesh], &options).map_err(|e| UnwrapError::Library(e.to_string()))?;
+        let atlas = uvunwrap::generate(&[mesh], &options)
+            .map_err(|e| UnwrapError::Library(e.to_string()))?;
         let metres = Vec2::new(atlas.width as f32, atlas.height as f32) / atlas.texels_per_unit;
         let flat = &atlas.meshes[0];
         let mut charts = Charts {
@@ -31,7 +32,12 @@ impl Unwrap for Conformal {
             let vertices = triangle.map(|i| flat.vertices[i as usize]);
             let corners = vertices.map(|v| Vec2::from(v.uv) * metres);
             let area = (corners[1] - corners[0]).perp_dot(corners[2] - corners[0]);
-            charts.of.push(vertices[0].chart.filter(|_| area > 0.0).unwrap_or(Layout::NO_CHART));
+            charts.of.push(
+                vertices[0]
+                    .chart
+                    .filter(|_| area > 0.0)
+                    .unwrap_or(Layout::NO_CHART),
+            );
             charts.corners.push(corners);
         }
         match charts.of.iter().any(|&c| c != Layout::NO_CHART) {

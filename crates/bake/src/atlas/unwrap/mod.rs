@@ -63,7 +63,10 @@ pub(super) fn cross(positions: &[Vec3], triangle: [u32; 3]) -> Vec3 {
     let (u, v) = (b - a, c - a);
     let cross = u.cross(v);
     // A triangle thinner than the rounding of its own edges is a line.
-    let longest = u.length_squared().max(v.length_squared()).max((c - b).length_squared());
+    let longest = u
+        .length_squared()
+        .max(v.length_squared())
+        .max((c - b).length_squared());
     if cross.is_finite() && cross.length() > 1e-6 * longest {
         cross
     } else {

@@ -9,7 +9,10 @@ const STEPS: f64 = 256.0;
 
 /// Whether two of the triangles cover the same place, by at least a cell of a grid with `cells_per_unit` cells a unit (fewer for
 /// large charts). Triangles that share an edge or a corner do not.
-pub(super) fn overlaps(corners: impl Iterator<Item = [Vec2; 3]> + Clone, cells_per_unit: f32) -> bool {
+pub(super) fn overlaps(
+    corners: impl Iterator<Item = [Vec2; 3]> + Clone,
+    cells_per_unit: f32,
+) -> bool {
     let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
     for corner in corners.clone().flatten() {
         low = low.min(corner.as_dvec2());
@@ -61,7 +64,9 @@ fn each_covered_cell(mut p: [glam::I64Vec2; 3], mut visit: impl FnMut(i64, i64) 
     for y in low.y..=high.y {
         for x in low.x..=high.x {
             let centre = glam::I64Vec2::new(x, y) * steps + steps / 2;
-            let inside = edges.iter().all(|&(a, d, bias)| d.perp_dot(centre - a) >= bias);
+            let inside = edges
+                .iter()
+                .all(|&(a, d, bias)| d.perp_dot(centre - a) >= bias);
             if inside && visit(x, y) {
                 return true;
             }
@@ -78,13 +83,18 @@ mod tests {
     #[test]
     fn a_fan_does_not_overlap_and_a_fold_does() {
         let centre = vec2(0.37, 0.81);
-        let rim: Vec<Vec2> = (0..9).map(|i| centre + Vec2::from_angle(i as f32 * 0.7)).collect();
+        let rim: Vec<Vec2> = (0..9)
+            .map(|i| centre + Vec2::from_angle(i as f32 * 0.7))
+            .collect();
         // Nine spokes of 0.7 rad: 0.6 rad more than once around.
         let fan = rim.windows(2).map(|w| [centre, w[0], w[1]]);
         assert!(!overlaps(fan.clone(), 100.0));
         let more = fan.chain([[centre, rim[8], centre + Vec2::from_angle(6.3)]]);
         assert!(overlaps(more, 100.0));
-        let mirrored = [[vec2(0., 0.), vec2(1., 0.), vec2(0., 1.)], [vec2(1., 0.), vec2(0., 0.), vec2(0.1, 0.9)]];
+        let mirrored = [
+            [vec2(0., 0.), vec2(1., 0.), vec2(0., 1.)],
+            [vec2(1., 0.), vec2(0., 0.), vec2(0.1, 0.9)],
+        ];
         assert!(overlaps(mirrored.into_iter(), 50.0));
     }
 }

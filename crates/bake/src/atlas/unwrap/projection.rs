@@ -91,7 +91,11 @@ impl<'a> Work<'a> {
             let axis = self.normals[seed as usize];
             let sum = self.flood(seed, axis, SEED_CONE, stamp, &mut seen, &mut found);
             stamp += 1;
-            let flat = |axis: Vec3, found: &[u32]| found.iter().all(|&t| self.normals[t as usize].dot(axis) > 0.999_99);
+            let flat = |axis: Vec3, found: &[u32]| {
+                found
+                    .iter()
+                    .all(|&t| self.normals[t as usize].dot(axis) > 0.999_99)
+            };
             let mut axis = axis;
             if !flat(axis, &found) {
                 axis = sum.normalize_or(axis);
@@ -105,7 +109,15 @@ impl<'a> Work<'a> {
     }
 
     /// Triangles without a chart that connect to `seed` within a cone, and the sum of their normals by area.
-    fn flood(&self, seed: u32, axis: Vec3, cone: f32, stamp: u32, seen: &mut [u32], found: &mut Vec<u32>) -> Vec3 {
+    fn flood(
+        &self,
+        seed: u32,
+        axis: Vec3,
+        cone: f32,
+        stamp: u32,
+        seen: &mut [u32],
+        found: &mut Vec<u32>,
+    ) -> Vec3 {
         found.clear();
         found.push(seed);
         seen[seed as usize] = stamp;
@@ -139,13 +151,22 @@ impl<'a> Work<'a> {
             self.of[t as usize] = chart;
             area += self.area(t);
         }
-        self.charts.push(Chart { head, tail, axis, area, flat });
+        self.charts.push(Chart {
+            head,
+            tail,
+            axis,
+            area,
+            flat,
+        });
         chart
     }
 
     fn members(&self, chart: u32) -> impl Iterator<Item = u32> + Clone + '_ {
         let next = |t: &u32| Some(self.next[*t as usize]).filter(|&t| t != NONE);
-        std::iter::successors(Some(self.charts[chart as usize].head).filter(|&t| t != NONE), next)
+        std::iter::successors(
+            Some(self.charts[chart as usize].head).filter(|&t| t != NONE),
+            next,
+        )
     }
 
     /// Small charts, the smallest first, join the neighbour with which they share most of their border.
@@ -155,7 +176,12 @@ impl<'a> Work<'a> {
         let mut order: Vec<u32> = (0..self.charts.len() as u32)
             .filter(|&c| self.charts[c as usize].area < small)
             .collect();
-        order.sort_unstable_by(|&a, &b| self.charts[a as usize].area.total_cmp(&self.charts[b as usize].area).then(a.cmp(&b)));
+        order.sort_unstable_by(|&a, &b| {
+            self.charts[a as usize]
+                .area
+                .total_cmp(&self.charts[b as usize].area)
+                .then(a.cmp(&b))
+        });
         let mut borders: Vec<(u32, f32)> = Vec::new();
         for chart in order {
             borders.clear();
@@ -166,7 +192,9 @@ impl<'a> Work<'a> {
                     if other == NONE || other == chart {
                         continue;
                     }
-                    let [a, b] = [k, (k + 1) % 3].map(|k| self.surface.positions[self.surface.triangles[t as usize][k] as usize]);
+                    let [a, b] = [k, (k + 1) % 3].map(|k| {
+                        self.surface.positions[self.surface.triangles[t as usize][k] as usize]
+                    });
                     match borders.iter_mut().find(|(c, _)| *c == other) {
                         Some((_, length)) => *length += a.distance(b),
                         None => borders.push((other, a.distance(b))),
@@ -176,7 +204,8 @@ impl<'a> Work<'a> {
             borders.sort_unstable_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
             let fits = |into: u32| {
                 let axis = self.charts[into as usize].axis;
-                self.members(chart).all(|t| self.normals[t as usize].dot(axis) > JOIN_CONE)
+                self.members(chart)
+                    .all(|t| self.normals[t as usize].dot(axis) > JOIN_CONE)
             };
             if let Some(&(into, _)) = borders.iter().find(|&&(into, _)| fits(into)) {
                 self.join(chart, into);
@@ -218,9 +247,15 @@ impl<'a> Work<'a> {
             }
             self.halve(chart, &mut two);
             let axis = |work: &Self, part: &[u32]| {
-                let sum: Vec3 = part.iter().map(|&t| cross(work.surface.positions, work.surface.triangles[t as usize])).sum();
+                let sum: Vec3 = part
+                    .iter()
+                    .map(|&t| cross(work.surface.positions, work.surface.triangles[t as usize]))
+                    .sum();
                 let mean = sum.normalize_or(known.axis);
-                let seen = |axis: Vec3| part.iter().all(|&t| work.normals[t as usize].dot(axis) > JOIN_CONE);
+                let seen = |axis: Vec3| {
+                    part.iter()
+                        .all(|&t| work.normals[t as usize].dot(axis) > JOIN_CONE)
+                };
                 if seen(mean) { mean } else { known.axis }
             };
             let axes = [axis(self, &two[0]), axis(self, &two[1])];
@@ -245,7 +280,11 @@ impl<'a> Work<'a> {
             let mut at = 0;
             while at < out.len() && out.len() < limit {
                 for n in self.neighbours[out[at] as usize] {
-                    if n != NONE && self.of[n as usize] == chart && out.len() < limit && seen.insert(n) {
+                    if n != NONE
+                        && self.of[n as usize] == chart
+                        && out.len() < limit
+                        && seen.insert(n)
+                    {
                         out.push(n);
                     }
                 }
@@ -265,7 +304,12 @@ impl<'a> Work<'a> {
         let mut of = vec![NONE; self.of.len()];
         let mut corners = vec![[Vec2::ZERO; 3]; self.of.len()];
         let mut count = 0;
-        for (c, chart) in self.charts.iter().enumerate().filter(|(_, chart)| chart.head != NONE) {
+        for (c, chart) in self
+            .charts
+            .iter()
+            .enumerate()
+            .filter(|(_, chart)| chart.head != NONE)
+        {
             let frame = Frame::new(&self, *chart);
             let mut flat = 0.0;
             for t in self.members(c as u32) {
@@ -275,7 +319,11 @@ impl<'a> Work<'a> {
                 of[t as usize] = count;
             }
             // As many texels as the surface's area is worth.
-            let scale = if chart.flat || flat <= 0.0 { 1.0 } else { (chart.area / flat).sqrt() };
+            let scale = if chart.flat || flat <= 0.0 {
+                1.0
+            } else {
+                (chart.area / flat).sqrt()
+            };
             if scale != 1.0 {
                 for t in self.members(c as u32) {
                     corners[t as usize] = corners[t as usize].map(|c| c * scale);
@@ -296,10 +344,18 @@ struct Frame {
 
 impl Frame {
     fn new(work: &Work, chart: Chart) -> Self {
-        let first = work.surface.triangles.get(chart.head as usize).map_or(0, |t| t[0]);
+        let first = work
+            .surface
+            .triangles
+            .get(chart.head as usize)
+            .map_or(0, |t| t[0]);
         let (x, y) = chart.axis.any_orthonormal_pair();
         // Rows run down, so that charts are not mirrored in a picture of the page.
-        Self { origin: work.surface.positions[first as usize], x, y: -y }
+        Self {
+            origin: work.surface.positions[first as usize],
+            x,
+            y: -y,
+        }
     }
 
     fn corners(&self, work: &Work, t: u32) -> [Vec2; 3] {

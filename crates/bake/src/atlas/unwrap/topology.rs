@@ -54,7 +54,11 @@ pub(super) fn neighbours(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<[u32
 /// For every vertex the first one at its place.
 fn weld(positions: &[Vec3]) -> Vec<u32> {
     // Adding 0 makes -0 a 0.
-    let key = |i: u32| positions[i as usize].to_array().map(|x| (x + 0.0).to_bits());
+    let key = |i: u32| {
+        positions[i as usize]
+            .to_array()
+            .map(|x| (x + 0.0).to_bits())
+    };
     let mut order: Vec<u32> = (0..positions.len() as u32).collect();
     order.par_sort_unstable_by_key(|&i| (key(i), i));
     let mut place = vec![0; positions.len()];
@@ -73,11 +77,21 @@ mod tests {
 
     #[test]
     fn neighbours_share_places_not_vertices() {
-        let p = [vec3(0., 0., 0.), vec3(1., 0., 0.), vec3(0., 1., 0.), vec3(1., 0., -0.), vec3(1., 1., 0.), vec3(0., 1., 0.)];
+        let p = [
+            vec3(0., 0., 0.),
+            vec3(1., 0., 0.),
+            vec3(0., 1., 0.),
+            vec3(1., 0., -0.),
+            vec3(1., 1., 0.),
+            vec3(0., 1., 0.),
+        ];
         let found = neighbours(&p, &[[0, 1, 2], [3, 4, 5]]);
         assert_eq!(found, [[NONE, 1, NONE], [NONE, NONE, 0]]);
         // The same winding along the edge: turned over. A third triangle at it: not a surface.
         assert_eq!(neighbours(&p, &[[0, 1, 2], [3, 5, 4]])[0], [NONE; 3]);
-        assert_eq!(neighbours(&p, &[[0, 1, 2], [3, 4, 5], [3, 0, 5]])[0][1], NONE);
+        assert_eq!(
+            neighbours(&p, &[[0, 1, 2], [3, 4, 5], [3, 0, 5]])[0][1],
+            NONE
+        );
     }
 }
