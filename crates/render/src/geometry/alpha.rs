@@ -1,11 +1,11 @@
 //! Cut-outs and coverage: which hits count.
 
 use glam::{Vec2, Vec3, Vec4};
-use occlude_scene::{AlphaMode, Material, Mesh, Scene, TextureRef};
+use occlude_scene::{AlphaMode, Material, Mesh, Pose, Scene, TextureRef};
 use occlude_visibility::{Hit, Ray};
 
 /// Whether hits of a mesh must be asked one by one: its alpha may let rays pass.
-pub(super) fn is_filtered(scene: &Scene, mesh: &Mesh) -> bool {
+pub fn is_filtered(scene: &Scene, mesh: &Mesh) -> bool {
     let material = &scene.materials[mesh.material as usize];
     let varies = material.base_color_texture.is_some() || !mesh.colors.is_empty();
     match material.alpha_mode {
@@ -26,6 +26,30 @@ pub(super) fn accepts(scene: &Scene, mesh: &Mesh, ray: &Ray, hit: &Hit) -> bool 
         AlphaMode::Opaque => true,
         AlphaMode::Mask { cutoff } => alpha() >= cutoff,
         AlphaMode::Blend => uniform_of(ray, hit) < alpha(),
+    }
+}
+
+/// Whether a point of an instance's triangle is there for light that meets it: barycentric weights `u`, `v` of the second and third
+/// vertex; `chance` in [0, 1) decides where the material is blended.
+///
+/// # Panics
+/// If an index is out of range.
+pub fn covers(
+    scene: &Scene,
+    pose: &Pose,
+    instance: u32,
+    primitive: u32,
+    u: f32,
+    v: f32,
+    chance: f32,
+) -> bool {
+    let mesh = &scene.meshes[pose.instances[instance as usize].mesh as usize];
+    let material = &scene.materials[mesh.material as usize];
+    let alpha = || base_color(scene, material, mesh, primitive, u, v).w;
+    match material.alpha_mode {
+        AlphaMode::Opaque => true,
+        AlphaMode::Mask { cutoff } => alpha() >= cutoff,
+        AlphaMode::Blend => chance < alpha(),
     }
 }
 

@@ -7,7 +7,7 @@ mod surface;
 mod tracer;
 mod triangle;
 
-pub use alpha::{diffuse_albedo, front_emission};
+pub use alpha::{covers, diffuse_albedo, front_emission, is_filtered};
 pub(crate) use shaft::{Span, Towards};
 pub use surface::Surface;
 pub(crate) use tracer::is_pane;

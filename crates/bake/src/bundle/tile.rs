@@ -1,0 +1,149 @@
+//! Where how many lines are needed, in pieces that fit the buffers (section 4.3 and appendix A of the paper).
+//!
+//! A tile of level i is 2^i analysis pixels wide. It needs `C_I = A I` lines (Eq. 1: area times importance); the buffers hold
+//! `C_max = min(W^2, min over j >= i of alpha N / F(j))` (Eq. 3: heads, and nodes by the estimate of this and all coarser levels, since
+//! the fine ones are noisy and the coarse ones biased). A tile that needs more is split; one that needs none is dropped.
+//!
+//! Program 1 of the paper as printed forgets what coarser levels said (`C_max = min(C_I, ..)` instead of `min(C_max, ..)`), so that
+//! `C_I < C_max` could never hold; and at the finest level it caps the lines, which undersamples silently. Here tiles below
+//! the analysis pixel are split further, with the pixel's own values. The GPU's one thread a pixel that descends by itself is a plain
+//! descent here: the same tiles, each looked at once.
+
+use super::analysis::Maps;
+
+/// A square of lines.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Tile {
+    /// Corner, analysis pixels.
+    pub x: f32,
+    pub y: f32,
+    /// Side, analysis pixels.
+    pub width: f32,
+    /// Lines along a side.
+    pub lines: u32,
+}
+
+/// What the descent is bounded by.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Bounds {
+    /// Lines along a side at most: W.
+    pub lines: u32,
+    /// Nodes that the fragment buffer has: N.
+    pub nodes: u32,
+    /// Share of them that a prediction may use: alpha.
+    pub alpha: f32,
+    /// Lines per texel: importance is multiplied by it.
+    pub factor: f32,
+}
+
+/// What is where in the window: an index into [`Tiling::tiles`], [`Tiling::splits`] or nothing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Place {
+    Nothing,
+    Tile(u32),
+    Split(u32),
+}
+
+/// The tiles of a direction and how to find them.
+#[derive(Debug, Default)]
+pub(super) struct Tiling {
+    pub tiles: Vec<Tile>,
+    /// Four quarters: x then y.
+    pub splits: Vec<[Place; 4]>,
+    /// What covers the window.
+    pub root: Option<Place>,
+    /// Side of the window, analysis pixels.
+    pub size: f32,
+}
+
+/// A node of the descent.
+#[derive(Clone, Copy)]
+struct Node {
+    level: usize,
+    column: u32,
+    row: u32,
+    most: f32,
+}
+
+impl Tiling {
+    /// Descends the maps. `pixel` is the side of an analysis pixel, metres.
+    pub fn descend(&mut self, maps: &Maps, pixel: f32, bounds: &Bounds) {
+        self.tiles.clear();
+        self.splits.clear();
+        let top = maps.importance.len() - 1;
+        let node = Node {
+            level: top,
+            column: 0,
+            row: 0,
+            most: (f64::from(bounds.lines) * f64::from(bounds.lines)) as f32,
+        };
+        self.size = (1u32 << top) as f32;
+        self.root = Some(self.node(maps, pixel, bounds, node));
+    }
+
+    fn node(&mut self, maps: &Maps, pixel: f32, bounds: &Bounds, node: Node) -> Place {
+        let width = (1u32 << node.level) as f32;
+        let index = (node.row << (maps.importance.len() - 1 - node.level)) + node.column;
+        let importance = maps.importance[node.level][index as usize] * bounds.factor;
+        if importance == 0.0 {
+            return Place::Nothing;
+        }
+        let fragments = maps.fragments[node.level][index as usize];
+        let most = node
+            .most
+            .min(bounds.alpha * bounds.nodes as f32 / fragments.max(1e-6));
+        let area = (width * pixel) * (width * pixel);
+        let needed = area * importance;
+        let corner = [node.column as f32 * width, node.row as f32 * width];
+        if let Some(lines) = fitting(needed, most) {
+            return self.tile(corner, width, lines);
+        }
+        if node.level == 0 {
+            return self.below(corner, width, needed, most);
+        }
+        let quarter = |tiling: &mut Self, k: u32| {
+            let node = Node {
+                level: node.level - 1,
+                column: 2 * node.column + (k & 1),
+                row: 2 * node.row + (k >> 1),
+                most,
+            };
+            tiling.node(maps, pixel, bounds, node)
+        };
+        let quarters = [0, 1, 2, 3].map(|k| quarter(self, k));
+        self.split(quarters)
+    }
+
+    /// Splits below the analysis pixel until the lines fit.
+    fn below(&mut self, [x, y]: [f32; 2], width: f32, needed: f32, most: f32) -> Place {
+        if let Some(lines) = fitting(needed, most) {
+            return self.tile([x, y], width, lines);
+        }
+        let half = 0.5 * width;
+        let quarters = [0, 1, 2, 3].map(|k| {
+            let corner = [x + half * (k & 1) as f32, y + half * (k >> 1) as f32];
+            self.below(corner, half, 0.25 * needed, most)
+        });
+        self.split(quarters)
+    }
+
+    fn tile(&mut self, [x, y]: [f32; 2], width: f32, lines: u32) -> Place {
+        self.tiles.push(Tile { x, y, width, lines });
+        Place::Tile(self.tiles.len() as u32 - 1)
+    }
+
+    fn split(&mut self, quarters: [Place; 4]) -> Place {
+        if quarters == [Place::Nothing; 4] {
+            return Place::Nothing;
+        }
+        self.splits.push(quarters);
+        Place::Split(self.splits.len() as u32 - 1)
+    }
+}
+
+/// Lines along a side, if their square is within `most`. A single line always fits: depth ranges serve those that meet too much.
+fn fitting(needed: f32, most: f32) -> Option<u32> {
+    // Rounded up; far beyond any buffer the float would not fit into an integer.
+    let lines = needed.sqrt().ceil().max(1.0);
+    (lines * lines <= most || needed <= 1.0).then_some(lines as u32)
+}
