@@ -140,7 +140,7 @@ fn a_half_lit_box_across_unlike_tiles() {
         let (c, u, v) = corners(instance);
         let normal = u.cross(v).normalize();
         let list = texels(&atlas, instance);
-        let size = atlas.placements[instance].unwrap().scale;
+        let size = atlas.layouts[instance].pieces[0].as_vec2();
         let (mut mean, mut expected, mut square) = (0.0, 0.0, 0.0);
         for &(texel, place) in &list {
             let got = sums.irradiance(texel).unwrap().x;

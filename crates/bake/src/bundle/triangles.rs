@@ -190,7 +190,7 @@ impl<'a> Triangles<'a> {
             };
             for primitive in 0..mesh.triangles.len() as u32 {
                 let world = WorldTriangle::new(scene, pose, number as u32, primitive);
-                let place = atlas.triangle(number as u32, posed.mesh, primitive);
+                let place = atlas.triangle(number as u32, primitive);
                 triangles.push(
                     number as u32,
                     primitive,

@@ -1,7 +1,7 @@
 //! Small scenes of rectangles, and atlases that lay every rectangle out as a square of its own.
 
-use glam::{Affine3A, Vec2, Vec3};
-use occlude_bake::atlas::{Atlas, Layout, Page, Placement};
+use glam::{Affine3A, UVec2, Vec2, Vec3};
+use occlude_bake::atlas::{Atlas, Layout, Page, Placement, Rectangle};
 use occlude_scene::{Instance, Material, Mesh, Node, Scene};
 
 /// A scene of rectangles, each an instance of its own, and the texels of each.
@@ -66,54 +66,52 @@ impl Build {
 
     /// All squares side by side on one page, with a texel between them.
     pub fn atlas(&self) -> Atlas {
+        let mut atlas = Atlas::default();
         let mut x = 1;
-        let placements: Vec<Option<Placement>> = self
-            .texels
-            .iter()
-            .map(|texels| {
-                let [width, height] = (*texels)?;
-                let offset = Vec2::new(x as f32, 1.0);
-                x += width + 1;
-                Some(Placement {
-                    page: 0,
-                    scale: Vec2::new(width as f32, height as f32),
-                    offset,
-                })
-            })
-            .collect();
-        let height = self.texels.iter().flatten().map(|t| t[1]).max();
-        Atlas {
-            pages: vec![Page {
-                width: x,
-                height: height.unwrap_or(0) + 2,
-                first_texel: 0,
-            }],
-            layouts: vec![
-                Layout {
-                    corners: vec![
-                        [Vec2::ZERO, Vec2::X, Vec2::ONE],
-                        [Vec2::ZERO, Vec2::ONE, Vec2::Y],
-                    ],
-                };
-                self.scene.meshes.len()
-            ],
-            placements,
+        for (instance, texels) in self.texels.iter().enumerate() {
+            let mut layout = Layout::default();
+            let [width, height] = texels.unwrap_or_default();
+            let at = |x: u32, y: u32| Vec2::new(x as f32, y as f32);
+            let corners = [at(0, 0), at(width, 0), at(width, height), at(0, height)];
+            layout.mesh = instance as u32;
+            layout.corners = vec![
+                [corners[0], corners[1], corners[2]],
+                [corners[0], corners[2], corners[3]],
+            ];
+            layout.charts = vec![0; 2];
+            layout.pieces = vec![UVec2::new(width, height)];
+            atlas.layouts.push(layout);
+            atlas.rectangles.push(Rectangle {
+                page: 0,
+                offset: UVec2::new(x, 1),
+            });
+            atlas.placements.push(texels.map(|_| Placement {
+                layout: instance as u32,
+                first_rectangle: instance as u32,
+            }));
+            x += width + 1;
         }
+        let height = self.texels.iter().flatten().map(|t| t[1]).max();
+        atlas.pages.push(Page {
+            width: x,
+            height: height.unwrap_or(0) + 2,
+            first_texel: 0,
+        });
+        atlas
     }
 }
 
 /// The texels of an instance: number and place in the unit square of its middle.
 pub fn texels(atlas: &Atlas, instance: usize) -> Vec<(u32, Vec2)> {
-    let Some(placement) = atlas.placements[instance] else {
+    if atlas.placements[instance].is_none() {
         return Vec::new();
-    };
-    let page = atlas.pages[placement.page as usize];
-    let (width, height) = (placement.scale.x as u32, placement.scale.y as u32);
-    let all = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
-    all.map(|(x, y)| {
-        let texel = page.texel(x + placement.offset.x as u32, y + placement.offset.y as u32);
-        let place = Vec2::new(x as f32 + 0.5, y as f32 + 0.5) / placement.scale;
-        (texel, place)
+    }
+    let size = atlas.layouts[instance].pieces[0];
+    let offset = atlas.rectangles[instance].offset;
+    let all = (0..size.y).flat_map(|y| (0..size.x).map(move |x| UVec2::new(x, y)));
+    all.map(|at| {
+        let texel = atlas.pages[0].texel(at.x + offset.x, at.y + offset.y);
+        (texel, (at.as_vec2() + 0.5) / size.as_vec2())
     })
     .collect()
 }
