@@ -16,11 +16,11 @@ use std::f32::consts::{FRAC_1_PI, PI, TAU};
 /// A sky: constant, or a lat-long map that is sampled by its brightness.
 #[derive(Clone, Debug)]
 pub struct Environment {
-    kind: Kind,
+    pub(super) kind: Kind,
 }
 
 #[derive(Clone, Debug)]
-enum Kind {
+pub(super) enum Kind {
     Constant(Vec3),
     Map(Box<Map>),
 }
@@ -29,12 +29,12 @@ enum Kind {
 const MOST_COLUMNS: usize = 4096;
 
 #[derive(Clone, Debug)]
-struct Map {
-    width: usize,
-    height: usize,
-    pixels: Vec<[f32; 3]>,
-    rotation_sin: f32,
-    rotation_cos: f32,
+pub(super) struct Map {
+    pub(super) width: usize,
+    pub(super) height: usize,
+    pub(super) pixels: Vec<[f32; 3]>,
+    pub(super) rotation_sin: f32,
+    pub(super) rotation_cos: f32,
     /// Texels along the side of a cell.
     cell: usize,
     columns: usize,
@@ -48,7 +48,7 @@ struct Map {
     /// Cosines of the polar angles between rows of cells, from 1 to -1. Near the poles single precision would not do.
     row_edges: Vec<f64>,
     /// Integral of the radiance over all directions.
-    integral: Vec3,
+    pub(super) integral: Vec3,
 }
 
 impl Environment {
@@ -162,7 +162,7 @@ fn clean(pixels: &[[f32; 3]], scale: f32) -> Vec<[f32; 3]> {
 }
 
 /// Cosine of the polar angle of the upper edge of a row of texels.
-fn cos_edge(row: usize, height: usize) -> f64 {
+pub(super) fn cos_edge(row: usize, height: usize) -> f64 {
     (std::f64::consts::PI * (0.5 - row as f64 / height as f64)).sin()
 }
 
@@ -253,7 +253,11 @@ impl Map {
     }
 
     fn radiance(&self, wi: Vec3) -> Vec3 {
-        let uv = self.uv(wi);
+        self.lookup(self.uv(wi))
+    }
+
+    /// Radiance at image coordinates, in `[0, 1]`.
+    pub(super) fn lookup(&self, uv: Vec2) -> Vec3 {
         let (x, y) = (
             uv.x * self.width as f32 - 0.5,
             uv.y * self.height as f32 - 0.5,

@@ -13,6 +13,7 @@ mod emission;
 mod emitter;
 mod environment;
 mod facet;
+mod lobes;
 mod parts;
 mod punctual;
 mod select;
@@ -22,6 +23,7 @@ mod tree;
 
 pub(crate) use emission::{Emission, Emitted, Origin};
 pub use environment::Environment;
+pub use lobes::{SkyFit, SkyLobes, SkyResidual, SkySun};
 pub(crate) use parts::DeltaLight;
 
 use emitter::{EmissiveTriangle, Emitters};
