@@ -90,6 +90,11 @@ impl Layers {
         self.coat_albedo(self.coat_cos_o)
     }
 
+    /// The coat's unit normal.
+    pub fn coat_normal(&self) -> Vec3 {
+        self.coat_normal
+    }
+
     /// Whether the coat has a normal of its own.
     pub fn tilted(&self) -> bool {
         self.coat_normal != Vec3::Z

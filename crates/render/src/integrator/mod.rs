@@ -9,10 +9,12 @@
 
 mod ambient_occlusion;
 mod bidirectional;
+mod field;
 mod instant_radiosity;
 mod path;
 
 pub use bidirectional::{BidirectionalLimits, Techniques};
+pub use field::{Field, FieldReport, SkyLobes, SkySun};
 pub use instant_radiosity::{InstantRadiosity, InstantRadiosityReport};
 
 use crate::camera::{PixelFilter, View};
@@ -48,6 +50,8 @@ pub enum Integrator {
     },
     /// Many virtual lights that all eye samples share (Keller 1997; Segovia et al. 2006).
     InstantRadiosity(InstantRadiosity),
+    /// Direct light by fields of visibility at sample points (Wang et al. 2013).
+    Field(Field),
 }
 
 /// What a path may do.
@@ -143,6 +147,8 @@ pub struct RenderReport {
     pub visibility: VisibilityStats,
     /// Of [`Integrator::InstantRadiosity`].
     pub instant_radiosity: Option<InstantRadiosityReport>,
+    /// Of [`Integrator::Field`].
+    pub field: Option<FieldReport>,
 }
 
 /// Scratch space and counters of one worker.
@@ -227,15 +233,21 @@ pub struct Sequence {
     /// Blocks of 16 virtual lights that are drawn anew from picture to picture; `None`: all.
     renew: Option<u32>,
     virtual_lights: Option<instant_radiosity::Pool>,
+    fields: field::Fields,
 }
 
 impl Sequence {
+    /// The sky as [`Integrator::Field`] sees it, from now on. Without it the lobes are fitted to the lights' environment when they are first needed.
+    pub fn set_sky(&mut self, lobes: SkyLobes) {
+        self.fields.set_sky(lobes);
+    }
+
     /// A sequence whose virtual lights stay, but for `blocks` blocks of 16 that are drawn anew for every picture: less flicker,
     /// and questions that a strategy has heard before. A picture then depends on those before it.
     pub fn renewing(blocks: u32) -> Self {
         Self {
             renew: Some(blocks),
-            virtual_lights: None,
+            ..Self::default()
         }
     }
 
@@ -263,6 +275,9 @@ impl Sequence {
     ) -> RenderReport {
         assert_eq!((view.width(), view.height()), (film.width(), film.height()));
         let Geometry { scene, pose, .. } = *world.geometry;
+        if let Integrator::Field(field) = &settings.integrator {
+            return self.fields.render(world, view, field, settings, film, job);
+        }
         let emission = match settings.integrator {
             Integrator::Bidirectional(_) => {
                 film.enable_splats();
@@ -370,6 +385,8 @@ impl Sequence {
                             );
                         }
                     }
+                    // Rendered above, not by units.
+                    Integrator::Field(_) => {}
                 }
                 {
                     let mut film = lock(&shared_film);
@@ -423,6 +440,7 @@ impl Sequence {
             rays,
             visibility: stats,
             instant_radiosity: prepared.map(|prepared| prepared.report()),
+            field: None,
         }
     }
 }

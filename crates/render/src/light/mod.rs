@@ -451,7 +451,7 @@ fn cross_section(scene: &Scene, pose: &Pose) -> f32 {
 }
 
 /// Centre and radius of a sphere around all that has a finite place.
-fn bounding_sphere(scene: &Scene, pose: &Pose) -> (Vec3, f32) {
+pub(crate) fn bounding_sphere(scene: &Scene, pose: &Pose) -> (Vec3, f32) {
     let (mut low, mut high) = (Vec3::splat(f32::INFINITY), Vec3::splat(f32::NEG_INFINITY));
     for (index, instance) in pose.instances.iter().enumerate() {
         let positions = pose.positions(scene, index);

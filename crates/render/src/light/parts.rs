@@ -25,6 +25,34 @@ pub(crate) enum DeltaLight {
     },
 }
 
+impl DeltaLight {
+    /// Direction to the light from a place, its own place unless that is infinitely far away, and the irradiance on a facing surface.
+    /// `None` where none arrives.
+    pub(crate) fn at(&self, position: Vec3) -> Option<(Vec3, Option<Vec3>, Vec3)> {
+        match *self {
+            Self::Direction {
+                towards,
+                irradiance,
+            } => Some((towards, None, irradiance)),
+            Self::Point {
+                position: own,
+                intensity,
+                cone,
+            } => {
+                let to = own - position;
+                let distance = to.length();
+                let wi = to / distance;
+                let falloff = cone.map_or(1.0, |(axis, scale, offset)| {
+                    (scale * axis.dot(-wi) + offset).clamp(0.0, 1.0).powi(2)
+                });
+                let irradiance = intensity * (falloff / (distance * distance));
+                (irradiance.is_finite() && irradiance != Vec3::ZERO)
+                    .then_some((wi, Some(own), irradiance))
+            }
+        }
+    }
+}
+
 impl Lights {
     /// The lights without extent.
     pub(crate) fn deltas(&self) -> impl Iterator<Item = DeltaLight> {

@@ -1,6 +1,7 @@
 //! Signed angular distances over a hemisphere.
 
-use super::hemisphere::{Hemisphere, angles};
+use super::gaussian::truncate;
+use super::hemisphere::{Hemisphere, acos, angles};
 use glam::Vec3;
 use std::f32::consts::{FRAC_PI_2, PI};
 
@@ -25,8 +26,11 @@ impl DistanceField {
         (scaled + 0.5_f32.copysign(scaled)) as i16
     }
 
-    pub(super) fn from_values(side: u32, values: Vec<i16>) -> Self {
-        Self { side, values }
+    /// Its numbers, row after row, once it has `side` texels along a side.
+    pub(super) fn values_mut(&mut self, side: u32) -> &mut [i16] {
+        self.side = side;
+        self.values.resize(side as usize * side as usize, 0);
+        &mut self.values
     }
 
     /// Texels along a side.
@@ -62,6 +66,44 @@ impl DistanceField {
         self.inside(local)
     }
 
+    /// [`at`](Self::at) for eight directions, given by component.
+    #[inline(always)]
+    pub fn at_eight(&self, hemisphere: &Hemisphere, w: &[[f32; 8]; 3]) -> [f32; 8] {
+        let side = self.side as usize;
+        let (scale, last) = (side as f32 / PI, (side - 1) as f32 - 1e-3);
+        let along = |axis: Vec3, k: usize| axis.x * w[0][k] + axis.y * w[1][k] + axis.z * w[2][k];
+        let (mut rows, mut columns, mut below) = ([0.0; 8], [0.0; 8], [0.0; 8]);
+        for k in 0..8 {
+            let x = along(hemisphere.side, k);
+            let y = along(hemisphere.normal, k);
+            let z = along(hemisphere.pole, k);
+            let lower = y < 0.0;
+            // Below the horizon the rim under the direction speaks.
+            let level = if lower { 0.0 } else { y };
+            let to_rim = (x * x + z * z).sqrt().max(1e-12);
+            let theta = acos(if lower { z / to_rim } else { z });
+            let phi = acos(x / (x * x + level * level).sqrt().max(1e-12));
+            below[k] = if lower { FRAC_PI_2 - acos(y) } else { 0.0 };
+            rows[k] = (theta * scale - 0.5).clamp(0.0, last);
+            columns[k] = (phi * scale - 0.5).clamp(0.0, last);
+        }
+        let mut out = [0.0; 8];
+        for k in 0..8 {
+            let (row, column) = (truncate(rows[k]), truncate(columns[k]));
+            let (v, u) = (rows[k] - row as f32, columns[k] - column as f32);
+            let at = row as usize * side + column as usize;
+            let pair = |at: usize| {
+                let a = f32::from(self.values[at]);
+                a + (f32::from(self.values[at + 1]) - a) * u
+            };
+            let (upper, lower) = (pair(at), pair(at + side));
+            let inside = (upper + (lower - upper) * v) * STEP;
+            let inside = if below[k] < 0.0 { inside.min(0.0) } else { inside };
+            out[k] = inside + below[k];
+        }
+        out
+    }
+
     fn inside(&self, local: Vec3) -> f32 {
         let side = self.side as usize;
         let (theta, phi) = angles(local);
@@ -95,6 +137,27 @@ impl DistanceField {
 mod tests {
     use super::super::{DistanceTransform, VisibilityMap};
     use super::*;
+
+    #[test]
+    fn eight_at_once_are_eight() {
+        let h = Hemisphere::new(Vec3::new(0.5, 0.7, -0.2).normalize(), Vec3::X);
+        let map = VisibilityMap::from_fn(64, |w| (w.x * 5.0).sin() + w.z > 0.2);
+        let field = DistanceTransform::default().transform(&map);
+        for i in 0..400 {
+            let w: [Vec3; 8] = std::array::from_fn(|k| {
+                let a = (i * 8 + k) as f32;
+                let z = 1.0 - 2.0 * ((a + 0.5) / 3200.0);
+                let r = (1.0 - z * z).sqrt();
+                Vec3::new(r * (a * 2.4).cos(), r * (a * 2.4).sin(), z)
+            });
+            let columns = [w.map(|w| w.x), w.map(|w| w.y), w.map(|w| w.z)];
+            let eight = field.at_eight(&h, &columns);
+            for (w, got) in w.iter().zip(eight) {
+                let one = field.at(&h, *w);
+                assert!((one - got).abs() < 2e-4, "{w}: {one} {got}");
+            }
+        }
+    }
 
     #[test]
     fn angles_survive_sixteen_bits() {

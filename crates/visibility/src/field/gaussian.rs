@@ -16,9 +16,10 @@ pub struct SphericalGaussian {
 }
 
 impl SphericalGaussian {
-    /// The integral over the sphere of a lobe with amplitude 1.
+    /// The integral over the sphere of a lobe with amplitude 1; the whole sphere for sharpness 0.
     #[inline]
     pub fn unit_integral(sharpness: f32) -> f32 {
+        let sharpness = sharpness.max(1e-6);
         2.0 * PI * -(-2.0 * sharpness).exp_m1() / sharpness
     }
 
@@ -47,14 +48,16 @@ impl SphericalGaussian {
     }
 }
 
-/// Sharpness of the first row of the table, and the factor from row to row.
-const FIRST: f32 = 1.0;
-const FACTOR: f32 = 1.5;
-const ROWS: usize = 24;
+/// Sharpness of the first row of the table: a power of two. Four rows, evenly spaced, lead to twice that, four more to twice that again.
+const FIRST: f32 = 0.125;
+const OCTAVES: usize = 17;
+const ROWS: usize = 4 * OCTAVES + 1;
 /// Distances of a row; odd, so that 0 is one of them.
-const COLUMNS: usize = 97;
+const COLUMNS: usize = 65;
 /// A row ends this many widths away from the centre, or at a right angle.
 const WIDTHS: f32 = 4.5;
+/// Numbers of the table, rounded up to a power of two: an index needs a mask and no test.
+const SIZE: usize = (ROWS * COLUMNS).next_power_of_two();
 
 /// The share of a spherical Gaussian that lies on one side of a great circle, by its distance from the centre: the *hemisphere
 /// approximation* of visibility (Wang et al. 2009). What is beyond the nearest edge counts as free as the centre is.
@@ -62,46 +65,70 @@ const WIDTHS: f32 = 4.5;
 /// Exact for half-planes; too dark beside thin occluders, whose far edge it does not know, and too bright in slits.
 #[derive(Clone, Copy, Debug)]
 pub struct VisibleShare {
-    values: [f32; COLUMNS],
-    /// Columns a radian.
-    scale: f32,
+    table: &'static [f32; SIZE],
 }
 
-static TABLE: LazyLock<Box<[VisibleShare; ROWS]>> = LazyLock::new(|| {
-    Box::new(std::array::from_fn(|row| {
-        build(FIRST * FACTOR.powi(row as i32))
-    }))
+static TABLE: LazyLock<Box<[f32; SIZE]>> = LazyLock::new(|| {
+    let mut table = Box::new([0.0; SIZE]);
+    for (row, values) in table.chunks_exact_mut(COLUMNS).take(ROWS).enumerate() {
+        let quarter = FIRST * (1u32 << (row / 4)) as f32 * 0.25;
+        build(quarter * (4 + row % 4) as f32, values);
+    }
+    table
 });
 
 impl VisibleShare {
-    /// The shares of lobes of one sharpness (at least 1, at most 10 000: others are taken for these).
-    pub fn of(sharpness: f32) -> Self {
-        let x = (sharpness / FIRST).max(1.0).ln() / FACTOR.ln();
-        let row = (x as usize).min(ROWS - 2);
-        let t = (x - row as f32).clamp(0.0, 1.0);
-        let (lower, upper) = (&TABLE[row], &TABLE[row + 1]);
-        let scale = scale_of((sharpness / FIRST).clamp(1.0, FACTOR.powi(ROWS as i32 - 1)) * FIRST);
-        Self {
-            values: std::array::from_fn(|i| {
-                lower.values[i] + (upper.values[i] - lower.values[i]) * t
-            }),
-            scale,
-        }
+    /// The table that all share.
+    pub fn new() -> Self {
+        Self { table: &TABLE }
     }
 
-    /// The share that is visible if the nearest edge of visibility is this far from the centre, positive where the centre is free.
-    #[inline]
-    pub fn at(&self, distance: f32) -> f32 {
+    /// The share of a lobe that is visible if the nearest edge of visibility is this far from its centre (radians), positive where
+    /// the centre is free. Sharpness below 1/8 or above 16 384 is taken for these.
+    #[inline(always)]
+    pub fn at(&self, distance: f32, sharpness: f32) -> f32 {
+        let sharpness = sharpness.clamp(FIRST, FIRST * (1u32 << OCTAVES) as f32 * 0.999);
+        // Exponent and first two bits of the mantissa are the row, the others lie between rows.
+        let above = sharpness.to_bits() - FIRST.to_bits();
+        let (row, t) = (above >> 21, (above & 0x1f_ffff) as f32 / (1u32 << 21) as f32);
         let half = (COLUMNS / 2) as f32;
-        let x = (distance * self.scale + half).clamp(0.0, 2.0 * half);
-        let i = (x as usize).min(COLUMNS - 2);
-        self.values[i] + (self.values[i + 1] - self.values[i]) * (x - i as f32)
+        let x = (distance * scale_of(sharpness) + half).clamp(0.0, 2.0 * half - 1e-3);
+        let column = truncate(x);
+        let u = x - column as f32;
+        let at = row as usize * COLUMNS + column as usize;
+        let along = |at: usize| {
+            let (a, b) = (self.table[at & (SIZE - 1)], self.table[(at + 1) & (SIZE - 1)]);
+            a + (b - a) * u
+        };
+        let (lower, upper) = (along(at), along(at + COLUMNS));
+        lower + (upper - lower) * t
+    }
+
+    /// [`at`](Self::at) for eight lobes.
+    #[inline(always)]
+    pub fn at_eight(&self, distance: &[f32; 8], sharpness: &[f32; 8]) -> [f32; 8] {
+        std::array::from_fn(|k| self.at(distance[k], sharpness[k]))
     }
 }
 
+impl Default for VisibleShare {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// The whole part of a number from 0 to 2^22, without a conversion that checks its range. At whole numbers it may be one less.
+#[inline(always)]
+pub(super) fn truncate(x: f32) -> u32 {
+    const MAGIC: f32 = (1u32 << 23) as f32;
+    (((x - 0.5).max(0.0) + MAGIC).to_bits()) & 0x7f_ffff
+}
+
 /// Columns a radian of lobes of some sharpness.
+#[inline(always)]
 fn scale_of(sharpness: f32) -> f32 {
-    (COLUMNS / 2) as f32 / (WIDTHS / sharpness.sqrt()).min(FRAC_PI_2)
+    const HALF: f32 = (COLUMNS / 2) as f32;
+    (HALF / WIDTHS * sharpness.sqrt()).max(HALF / FRAC_PI_2)
 }
 
 /// `I0(x) exp(-x)`, the scaled modified Bessel function (Abramowitz & Stegun 1964, 9.8.1 and 9.8.2).
@@ -135,12 +162,12 @@ fn bessel(x: f64) -> f64 {
 
 /// One row by quadrature. Along the normal of the circle's plane, at elevation `b` from it, the lobe's mass is
 /// `exp(lambda (cos(b - D) - 1)) I0e(lambda cos D cos b) cos b db` up to a factor.
-fn build(sharpness: f32) -> VisibleShare {
+fn build(sharpness: f32, values: &mut [f32]) {
     const POINTS: u32 = 512;
     let lambda = f64::from(sharpness);
     let scale = scale_of(sharpness);
     let half = std::f64::consts::FRAC_PI_2;
-    let values = std::array::from_fn(|i| {
+    for (i, value) in values.iter_mut().enumerate() {
         let distance = (i as f64 - (COLUMNS / 2) as f64) / f64::from(scale);
         let reach = 7.0 / lambda.sqrt();
         let mass = |from: f64, to: f64| {
@@ -157,9 +184,8 @@ fn build(sharpness: f32) -> VisibleShare {
             (0..POINTS).map(density).sum::<f64>() * step
         };
         let (free, blocked) = (mass(0.0, half), mass(-half, 0.0));
-        (free / (free + blocked)) as f32
-    });
-    VisibleShare { values, scale }
+        *value = (free / (free + blocked)) as f32;
+    }
 }
 
 #[cfg(test)]
@@ -213,8 +239,8 @@ mod tests {
     #[test]
     fn shares_are_what_quadrature_says() {
         let n = 300_000;
-        for sharpness in [1.0, 3.0, 17.0, 60.0, 500.0] {
-            let table = VisibleShare::of(sharpness);
+        let table = VisibleShare::new();
+        for sharpness in [0.125, 0.4, 1.0, 3.0, 17.0, 60.0, 500.0] {
             for distance in [-1.2_f32, -0.5, -0.1, 0.0, 0.03, 0.2, 0.7, 1.4] {
                 let normal = Vec3::new(distance.cos(), 0.0, distance.sin());
                 let (mut free, mut all) = (0.0_f64, 0.0_f64);
@@ -225,7 +251,7 @@ mod tests {
                         free += value;
                     }
                 }
-                let error = f64::from(table.at(distance)) - free / all;
+                let error = f64::from(table.at(distance, sharpness)) - free / all;
                 assert!(error.abs() < 4e-3, "{sharpness} {distance}: {error}");
             }
         }
@@ -233,15 +259,15 @@ mod tests {
 
     #[test]
     fn shares_grow_from_nothing_to_all() {
-        for sharpness in [0.1, 1.0, 50.0, 9_999.0, 1e9] {
-            let table = VisibleShare::of(sharpness);
+        let table = VisibleShare::new();
+        for sharpness in [0.0, 0.1, 1.0, 50.0, 9_999.0, 1e9] {
             let mut last = -1e-6;
             for i in -100..=100 {
-                let share = table.at(i as f32 * 0.04);
+                let share = table.at(i as f32 * 0.04, sharpness);
                 assert!((0.0..=1.0).contains(&share) && share >= last - 1e-6);
                 last = share;
             }
-            assert!((table.at(0.0) - 0.5).abs() < 1e-3);
+            assert!((table.at(0.0, sharpness) - 0.5).abs() < 1e-3);
         }
     }
 }

@@ -19,16 +19,80 @@ pub struct Metric {
 
 impl Metric {
     /// Eq. 6: `alpha |x - y| + sqrt(2 - 2 n.m)`, with steps out of either plane counted more. Infinite for points that face away from each other.
-    #[inline]
+    #[inline(always)]
     pub fn distance(&self, x: Vec3, n: Vec3, y: Vec3, m: Vec3) -> f32 {
         let alike = n.dot(m);
-        if alike <= 0.0 {
-            return f32::INFINITY;
-        }
         let step = y - x;
         let out = 0.5 * (step.dot(n).abs() + step.dot(m).abs());
         let turn = (2.0 - 2.0 * alike).max(0.0).sqrt();
-        self.per_metre * (step.length() + (OUT_OF_PLANE - 1.0) * out) + turn
+        let distance = self.per_metre * (step.length() + (OUT_OF_PLANE - 1.0) * out) + turn;
+        if alike > 0.0 { distance } else { f32::INFINITY }
+    }
+}
+
+/// Surface points by component, for many distances at a time.
+#[derive(Clone, Debug, Default)]
+pub struct Sites {
+    position: [Vec<f32>; 3],
+    normal: [Vec<f32>; 3],
+}
+
+impl Sites {
+    /// Adds a point with its unit normal.
+    pub fn push(&mut self, position: Vec3, normal: Vec3) {
+        for (axis, value) in position.to_array().into_iter().enumerate() {
+            self.position[axis].push(value);
+        }
+        for (axis, value) in normal.to_array().into_iter().enumerate() {
+            self.normal[axis].push(value);
+        }
+    }
+
+    /// Forgets all points.
+    pub fn clear(&mut self) {
+        self.position.iter_mut().for_each(Vec::clear);
+        self.normal.iter_mut().for_each(Vec::clear);
+    }
+
+    /// Number of points.
+    pub fn len(&self) -> usize {
+        self.position[0].len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+}
+
+impl Metric {
+    /// [`distance`](Self::distance) from one point to many.
+    pub fn distances(&self, x: Vec3, n: Vec3, others: &Sites, out: &mut Vec<f32>) {
+        out.clear();
+        out.resize(others.len(), 0.0);
+        #[cfg(target_arch = "x86_64")]
+        if std::arch::is_x86_feature_detected!("avx2") {
+            // SAFETY: the machine has the instructions.
+            return unsafe { self.distances_avx2(x, n, others, out) };
+        }
+        self.all_distances(x, n, others, out);
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn distances_avx2(&self, x: Vec3, n: Vec3, others: &Sites, out: &mut [f32]) {
+        self.all_distances(x, n, others, out);
+    }
+
+    #[inline(always)]
+    fn all_distances(&self, x: Vec3, n: Vec3, others: &Sites, out: &mut [f32]) {
+        let count = out.len();
+        let [px, py, pz] = others.position.each_ref().map(|column| &column[..count]);
+        let [nx, ny, nz] = others.normal.each_ref().map(|column| &column[..count]);
+        for k in 0..count {
+            let y = Vec3::new(px[k], py[k], pz[k]);
+            out[k] = self.distance(x, n, y, Vec3::new(nx[k], ny[k], nz[k]));
+        }
     }
 }
 
@@ -84,6 +148,23 @@ mod tests {
         );
         let (a, b) = (METRIC.distance(x, n, y, m), METRIC.distance(y, m, x, n));
         assert!((a - b).abs() < 1e-6);
+    }
+
+    #[test]
+    fn many_distances_are_one_by_one() {
+        let mut sites = Sites::default();
+        let place = |k: f32| (Vec3::new(k.sin(), k * 0.01, k.cos()), Vec3::new(k.cos(), 1.0, -0.3).normalize());
+        (0..37).for_each(|k| {
+            let (y, m) = place(k as f32);
+            sites.push(y, m);
+        });
+        let (x, n) = place(3.5);
+        let mut out = Vec::new();
+        METRIC.distances(x, n, &sites, &mut out);
+        for (k, found) in out.iter().enumerate() {
+            let (y, m) = place(k as f32);
+            assert_eq!(*found, METRIC.distance(x, n, y, m));
+        }
     }
 
     #[test]

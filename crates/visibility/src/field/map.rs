@@ -10,6 +10,17 @@ pub struct VisibilityMap {
     words: Vec<u64>,
 }
 
+/// Some neighbouring texels of a [`VisibilityMap`] together.
+#[derive(Clone, Copy, Debug)]
+pub struct MapBlock {
+    /// Their middle, in the axes side, normal, pole.
+    pub direction: Vec3,
+    /// Their solid angle times the cosine to the normal.
+    pub weight: f32,
+    /// The share of them that is free.
+    pub free: f32,
+}
+
 /// Words that a row takes.
 pub(super) fn words_a_row(side: u32) -> usize {
     side.div_ceil(64) as usize
@@ -106,6 +117,37 @@ impl VisibilityMap {
         }
         let (row, column) = Grid::of(self.side).texel(local);
         self.get(row, column)
+    }
+
+    /// The map in 32 by 32 blocks (of its own texels, if it has fewer): for integrals of what is smooth.
+    pub fn blocks(&self) -> Vec<MapBlock> {
+        const BLOCKS: usize = 32;
+        let grid = Grid::of(self.side);
+        let blocks = grid.side.min(BLOCKS);
+        let coarse = Grid::of(blocks as u32);
+        let size = grid.side / blocks;
+        let mask = (1u64 << size) - 1;
+        let area = (std::f32::consts::PI / blocks as f32).powi(2);
+        let mut out = Vec::with_capacity(blocks * blocks);
+        for row in 0..blocks {
+            let mut free = [0u32; BLOCKS];
+            for fine in row * size..(row + 1) * size {
+                let words = self.row(fine);
+                for (block, free) in free[..blocks].iter_mut().enumerate() {
+                    let column = block * size;
+                    *free += (words[column / 64] >> (column % 64) & mask).count_ones();
+                }
+            }
+            for (column, free) in free[..blocks].iter().enumerate() {
+                let direction = coarse.direction(row, column);
+                out.push(MapBlock {
+                    direction,
+                    weight: coarse.sin[row] * area * direction.y,
+                    free: *free as f32 / (size * size) as f32,
+                });
+            }
+        }
+        out
     }
 
     /// Share of the hemisphere's solid angle that differs from another map of the same size.

@@ -155,7 +155,8 @@ fn half_planes_are_what_geometry_says() {
     let mut numbers = Numbers(23);
     let side = 128;
     let texel = std::f32::consts::PI / side as f32;
-    let lobes = [20.0, 200.0, 2000.0].map(VisibleShare::of);
+    let lobes = [20.0, 200.0, 2000.0];
+    let share = VisibleShare::new();
     let mut squares = [0.0_f64; 3];
     let mut weights = 0.0;
     for _ in 0..12 {
@@ -181,7 +182,7 @@ fn half_planes_are_what_geometry_says() {
                 if edge.abs() < 0.2 {
                     weights += f64::from(grid.sin[row]);
                     for (sum, lobe) in squares.iter_mut().zip(&lobes) {
-                        let error = lobe.at(found) - lobe.at(edge);
+                        let error = share.at(found, *lobe) - share.at(edge, *lobe);
                         *sum += f64::from(error * error * grid.sin[row]);
                     }
                 }

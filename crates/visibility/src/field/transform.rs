@@ -65,6 +65,13 @@ fn push_bits(words: impl Iterator<Item = u64>, columns: &mut Vec<u16>) {
 impl DistanceTransform {
     /// The signed distances of a map: positive where it is free.
     pub fn transform(&mut self, map: &VisibilityMap) -> DistanceField {
+        let mut field = DistanceField::default();
+        self.transform_into(map, &mut field);
+        field
+    }
+
+    /// [`transform`](Self::transform) into a field that is there already.
+    pub fn transform_into(&mut self, map: &VisibilityMap, field: &mut DistanceField) {
         let grid = Grid::of(map.side());
         let side = grid.side;
         self.find_midpoints(map, grid);
@@ -74,7 +81,7 @@ impl DistanceTransform {
         self.cosines.resize(side * STRIP, -1.0);
         self.envelope.clear();
         self.envelope.resize(rows + 1, [0.0; 2]);
-        let mut values = vec![0; side * side];
+        let values = field.values_mut(map.side());
         for strip in 0..side / STRIP {
             if rows > 0 {
                 let heights = &self.heights[strip * rows * STRIP..][..rows * STRIP];
@@ -83,9 +90,8 @@ impl DistanceTransform {
                     scan_meridian(grid, &self.parallels, heights, &mut self.envelope, out);
                 }
             }
-            finish(map, grid, strip, &self.cosines, &mut values);
+            finish(map, grid, strip, &self.cosines, values);
         }
-        DistanceField::from_values(map.side(), values)
     }
 
     fn find_midpoints(&mut self, map: &VisibilityMap, grid: &Grid) {

@@ -1,0 +1,378 @@
+//! Direct light of a sky on moving, glossy surfaces without noise: visibility as distance fields at few points.
+//!
+//! Wang, Pan, Han, Chen, Bao 2013, "Parallel and adaptive visibility sampling for rendering dynamic scenes with spatially-varying reflectance". A frame goes
+//! through these steps:
+//!
+//! 1. one line of sight a pixel ([`eyes`]);
+//! 2. sample points ride to where their surfaces are, those that pixels need trace maps of what they see, and points are inserted or
+//!    erased where maps change more or less than said ([`points`], [`start`]);
+//! 3. maps become fields of distances, and what of the sky's lobes ([`sky`]) arrives at each point is taken from them;
+//! 4. pixels interpolate between points; lobes of the sky meet lobes of the surface ([`gloss`], [`shade`]); pixels on edges get more samples.
+//!
+//! Lights without size, suns and emissive surfaces are asked by exact rays: a map does not know how far its occluders are. The picture is that of
+//! `--max-depth 1`, biased: by the fit of the sky, the resolution of maps, the distance of points and the hemisphere approximation.
+//!
+//! Wrong tool for indirect light, for transmission other than by clear panes (it is left out), and for mirrors (one exact ray each).
+
+mod eyes;
+mod gloss;
+mod math;
+mod points;
+mod shade;
+mod sky;
+mod start;
+
+#[cfg(test)]
+mod tests;
+
+use super::{RayCounts, RenderReport, RenderSettings, StoppedBy, World};
+use crate::camera::View;
+use crate::film::Film;
+use crate::job::Job;
+use crate::light::Lights;
+use eyes::{Eyes, TILE};
+use glam::{Vec2, Vec3};
+use occlude_visibility::VisibilityStats;
+use occlude_visibility::field::{MapSampling, Metric, SphericalGaussian};
+use points::{Points, Reach};
+use rayon::prelude::*;
+use shade::{Counts, Scratch, Shaded, Shading};
+use sky::Sky;
+use std::time::Instant;
+
+/// How fields of visibility are made and used.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Field {
+    /// Points are inserted next to one that its neighbours miss by more than this, relative (`E_v,max`). Lower: more points.
+    pub insert_above: f32,
+    /// Points that their neighbours make up for to this are erased (`E_v,min`). Lower than `insert_above`.
+    pub erase_below: f32,
+    /// Texels along a side of a map, a power of two from 16 to 1024.
+    pub resolution: u32,
+    /// Texels along a side that are traced first, all of them; at most `resolution`.
+    pub start: u32,
+    /// Sample points at most.
+    pub most_points: u32,
+    /// Rounds of insertion, in the first frame and in the others.
+    pub rounds: [u32; 2],
+    /// Lobes that a glossy reflection is made of, 1 to 3.
+    pub gloss_lobes: u32,
+    /// More samples of pixels that differ from a neighbour.
+    pub edge_samples: u32,
+    /// Rays a shading point for emissive surfaces and suns.
+    pub light_samples: u32,
+}
+
+impl Default for Field {
+    fn default() -> Self {
+        Self {
+            insert_above: 0.10,
+            erase_below: 0.05,
+            resolution: 128,
+            start: 16,
+            most_points: 8192,
+            rounds: [6, 1],
+            gloss_lobes: 2,
+            edge_samples: 8,
+            light_samples: 4,
+        }
+    }
+}
+
+/// What a frame took and held.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct FieldReport {
+    /// Seconds for moving points and deciding where they should be.
+    pub update: f64,
+    /// Seconds for visibility maps.
+    pub visibility: f64,
+    /// Seconds for distance transforms.
+    pub transform: f64,
+    /// Seconds for lines of sight and shading.
+    pub integration: f64,
+    /// Points that the frame used.
+    pub points: u64,
+    /// Points of the sequence.
+    pub all_points: u64,
+    /// Points inserted and erased.
+    pub inserted: u64,
+    /// See `inserted`.
+    pub erased: u64,
+    /// Rays for maps.
+    pub rays: u64,
+    /// Bytes of maps and fields.
+    pub bytes: u64,
+    /// Pixels that see a surface.
+    pub covered: u64,
+}
+
+/// A sky as spherical Gaussians.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SkyLobes {
+    /// Their sum is the radiance.
+    pub lobes: Vec<SphericalGaussian>,
+    /// Sources narrower than maps resolve.
+    pub suns: Vec<SkySun>,
+}
+
+/// A source of the sky that is narrower than fields of visibility resolve.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SkySun {
+    /// Unit vector towards its centre.
+    pub towards: Vec3,
+    /// Irradiance on a facing surface, W/m^2.
+    pub irradiance: Vec3,
+    /// Radius of the uniform disk with the same spread, radians.
+    pub angular_radius: f32,
+}
+
+impl SkySun {
+    /// A direction inside of the disk, uniform in `u` and `v`.
+    fn towards_point(&self, u: f32, v: f32) -> Vec3 {
+        let (s, t) = self.towards.any_orthonormal_pair();
+        let (sin, cos) = (v * std::f32::consts::TAU).sin_cos();
+        let r = self.angular_radius * u.sqrt();
+        (self.towards + (s * cos + t * sin) * r).normalize()
+    }
+}
+
+/// Frames one after the other, and the points that live through them.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Fields {
+    points: Option<Points>,
+    sky: Sky,
+    lobes: Option<SkyLobes>,
+}
+
+/// Initial points for so many covered pixels.
+const PIXELS_A_POINT: u32 = 256;
+const FIRST_POINTS: std::ops::RangeInclusive<u32> = 48..=1024;
+/// Weight of positions in the geometric distance, over the size of the scene.
+const PER_SIZE: f32 = 2.0;
+
+impl Fields {
+    /// The sky's lobes, from now on.
+    pub(super) fn set_sky(&mut self, lobes: SkyLobes) {
+        self.sky = Sky::new(&lobes);
+        self.lobes = Some(lobes);
+    }
+
+    /// Renders a frame into a film that is empty.
+    pub(super) fn render(
+        &mut self,
+        world: &World,
+        view: &View,
+        field: &Field,
+        settings: &RenderSettings,
+        film: &mut Film,
+        job: &Job,
+    ) -> RenderReport {
+        let mut report = FieldReport::default();
+        let mut rays = RayCounts::default();
+        let mut stats = VisibilityStats::default();
+        job.start_phase("render", 4);
+        let geometry = world.geometry;
+        let mut clock = Clock(Instant::now());
+
+        let eyes = Eyes::trace(geometry, view);
+        rays.primary += eyes.rays;
+        report.covered = eyes.covered.into();
+        clock.add_to(&mut report.integration);
+
+        let first = self.points.is_none();
+        let points = self.points.get_or_insert_with(|| {
+            let (_, radius) = crate::light::bounding_sphere(geometry.scene, geometry.pose);
+            let size = if radius.is_finite() && radius > 0.0 { 2.0 * radius } else { 1.0 };
+            Points::new(Metric {
+                per_metre: PER_SIZE / size,
+            })
+        });
+        points.ride(geometry);
+        if points.list.is_empty() {
+            let count = eyes.covered / PIXELS_A_POINT;
+            let count = count.clamp(*FIRST_POINTS.start(), *FIRST_POINTS.end());
+            points.start(start::spread(geometry, &eyes, points.metric, count as usize).into_iter());
+        }
+        let sampling = MapSampling {
+            start: field.start.min(field.resolution),
+            resolution: field.resolution,
+        };
+        let rounds = field.rounds[usize::from(!first)];
+        let mut cancelled = false;
+        for round in 0..=rounds {
+            points.measure(first);
+            points.mark_needed(&eyes);
+            clock.add_to(&mut report.update);
+            let (traced, cost) = points.trace(geometry, sampling);
+            report.rays += cost;
+            stats.queries += traced * u64::from(field.resolution).pow(2);
+            clock.add_to(&mut report.visibility);
+            cancelled = job.is_cancelled();
+            if round == rounds || cancelled {
+                break;
+            }
+            let changes = points.adapt(geometry, view, &eyes, field, first);
+            report.inserted += u64::from(changes.inserted);
+            report.erased += u64::from(changes.erased);
+            clock.add_to(&mut report.update);
+            if changes.inserted + changes.erased == 0 {
+                break;
+            }
+        }
+        stats.traced = report.rays;
+        stats.answered = stats.queries - stats.traced.min(stats.queries);
+        job.advance(1, report.rays);
+        if cancelled {
+            return finish(StoppedBy::Cancel, rays, stats, report);
+        }
+        points.age();
+        clock.add_to(&mut report.update);
+        points.transform();
+        clock.add_to(&mut report.transform);
+        job.advance(1, 0);
+        points.look_at(&self.sky);
+
+        let (scene, pose) = (geometry.scene, geometry.pose);
+        let exact = world.lights.without_extent(scene, pose);
+        let areas = world.lights.areas(scene, pose);
+        let reach = Reach::new(points, |point| point.needed);
+        let shading = Shading {
+            world,
+            view,
+            settings: field,
+            points,
+            reach: &reach,
+            sky: &self.sky,
+            areas: some_light(&areas),
+            exact: some_light(&exact),
+            seed: settings.seed,
+        };
+        let counts = shade(&shading, &eyes, settings, film);
+        clock.add_to(&mut report.integration);
+        rays.primary += counts.primary;
+        stats.queries += counts.shadow;
+        stats.traced += counts.shadow;
+        report.points = points.list.iter().filter(|point| point.needed).count() as u64;
+        report.all_points = points.list.len() as u64;
+        report.bytes = points.bytes();
+        job.advance(2, counts.primary + counts.shadow);
+        finish(StoppedBy::Samples, rays, stats, report)
+    }
+
+    /// Whether the sky's lobes are known.
+    pub(super) fn has_sky(&self) -> bool {
+        self.lobes.is_some()
+    }
+}
+
+fn some_light(lights: &Lights) -> Option<&Lights> {
+    (!lights.is_empty()).then_some(lights)
+}
+
+fn finish(
+    stopped_by: StoppedBy,
+    rays: RayCounts,
+    visibility: VisibilityStats,
+    report: FieldReport,
+) -> RenderReport {
+    RenderReport {
+        stopped_by,
+        rays,
+        visibility,
+        instant_radiosity: None,
+        field: Some(report),
+    }
+}
+
+/// Seconds since the last question.
+struct Clock(Instant);
+
+impl Clock {
+    fn add_to(&mut self, sum: &mut f64) {
+        let now = Instant::now();
+        *sum += (now - self.0).as_secs_f64();
+        self.0 = now;
+    }
+}
+
+/// Shades all pixels, those on edges several times, into the film.
+fn shade(shading: &Shading, eyes: &Eyes, settings: &RenderSettings, film: &mut Film) -> Counts {
+    let (width, height) = (film.width(), film.height());
+    let across = width.div_ceil(TILE);
+    let middles: Vec<(Vec<Shaded>, Counts)> = (eyes.tiles.par_iter())
+        .map_init(Scratch::default, |scratch, tile| {
+            scratch.counts = Counts::default();
+            let shaded = shading.tile(tile, scratch);
+            (shaded, scratch.counts)
+        })
+        .collect();
+    let at = |x: u32, y: u32| -> &Shaded {
+        let index = (y / TILE * across + x / TILE) as usize;
+        let tile = &eyes.tiles[index];
+        &middles[index].0[((y - tile.y) * tile.width + x - tile.x) as usize]
+    };
+    let is_edge = |x: u32, y: u32| {
+        let here = at(x, y);
+        let xs = [x.saturating_sub(1), (x + 1).min(width - 1)];
+        let ys = [y.saturating_sub(1), (y + 1).min(height - 1)];
+        let beside = [(xs[0], y), (xs[1], y), (x, ys[0]), (x, ys[1])];
+        beside.iter().any(|&(x, y)| differ(here, at(x, y)))
+    };
+    let samples = settings.samples.clone();
+    let all = samples.end.saturating_sub(samples.start).max(1) - 1;
+    let more: Vec<(Vec<(u16, Shaded)>, Counts)> = (eyes.tiles.par_iter())
+        .map_init(Scratch::default, |scratch, tile| {
+            scratch.counts = Counts::default();
+            let mut out = Vec::new();
+            for i in 0..tile.width * tile.height {
+                let (x, y) = (tile.x + i % tile.width, tile.y + i / tile.width);
+                let edge = if is_edge(x, y) { shading.settings.edge_samples } else { 0 };
+                let count = all.max(edge);
+                if count == 0 {
+                    continue;
+                }
+                let points: Vec<Vec2> = (1..=count)
+                    .map(|k| {
+                        let [u, v] = [0.754_877_7 * k as f32 + 0.5, 0.569_840_3 * k as f32 + 0.5];
+                        let offset = settings.filter.offset(Vec2::new(u.fract(), v.fract()));
+                        Vec2::new(x as f32 + 0.5, y as f32 + 0.5) + offset
+                    })
+                    .collect();
+                let shaded = shading.more(&points, scratch);
+                out.extend(shaded.into_iter().map(|shaded| (i as u16, shaded)));
+            }
+            (out, scratch.counts)
+        })
+        .collect();
+    let mut counts = Counts::default();
+    for (tile, ((middles, a), (more, b))) in eyes.tiles.iter().zip(middles.iter().zip(&more)) {
+        let place = |i: u32| (tile.x + i % tile.width, tile.y + i / tile.width);
+        let firsts = middles.iter().enumerate().map(|(i, s)| (i as u16, s));
+        for (i, shaded) in firsts.chain(more.iter().map(|(i, s)| (*i, s))) {
+            let (x, y) = place(i.into());
+            film.add(x, y, shaded.radiance, Some(&shaded.features));
+        }
+        counts.primary += a.primary + b.primary;
+        counts.shadow += a.shadow + b.shadow;
+    }
+    counts
+}
+
+/// Whether an edge runs between two pixels.
+fn differ(a: &Shaded, b: &Shaded) -> bool {
+    let (fa, fb) = (&a.features, &b.features);
+    if (fa.depth == 0.0) != (fb.depth == 0.0) {
+        return true;
+    }
+    if fa.depth == 0.0 {
+        return false;
+    }
+    let step = (fa.depth - fb.depth).abs() > 0.03 * fa.depth.min(fb.depth);
+    let turned = fa.normal.dot(fb.normal) < 0.8;
+    // Display values, roughly.
+    let tone = |v: Vec3| {
+        let l = v.element_sum() * (1.0 / 3.0);
+        (l / (1.0 + l)).max(0.0).sqrt()
+    };
+    step || turned || (tone(a.radiance) - tone(b.radiance)).abs() > 0.08
+}

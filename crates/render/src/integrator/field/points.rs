@@ -1,0 +1,536 @@
+//! Sample points: where visibility is known, and where it should be.
+//!
+//! Points ride on the surfaces, a triangle and a place on it each. Which are wanted follows from what pixels show. Wang et al. 2013, section 4.3, with corrections:
+//! the error of a point is that of interpolating it from its neighbours *without it* (Eqs. 7 and 8), relative to what it sees; new points lie between it and each neighbour
+//! that sees otherwise, on the surface that the picture shows there; of points that the others make up for, the smallest errors go first and no
+//! two neighbours at once.
+//!
+//! Weights fall to 0 at a point's radius, which follows from the distances of its neighbours. In a sequence radii and the strength of new and leaving points change
+//! little by little, so that nothing pops.
+
+use super::eyes::{Eye, Eyes};
+use super::{Field, sky::Sky};
+use crate::camera::View;
+use crate::geometry::{Geometry, Place, Spot};
+use glam::Vec3;
+use occlude_visibility::field::{
+    DistanceField, DistanceTransform, Harmonics, Hemisphere, Hint, MapSampler, MapSampling, Metric,
+    Sites, VisibilityMap, harmonics, visibility_error,
+};
+use occlude_visibility::offset_along_normal;
+use rayon::prelude::*;
+
+/// Neighbours that a point is compared with.
+const NEIGHBOURS: usize = 8;
+/// The neighbour whose distance sets the radius, from 0, and the factor.
+const RADIUS_FROM: usize = 4;
+const RADIUS_FACTOR: f32 = 1.35;
+/// Frames that a new point takes to full strength, or an old one to none.
+const FADE: f32 = 4.0;
+/// Share of the way to its wanted radius that a point goes in a frame.
+const RADIUS_STEP: f32 = 0.35;
+/// Frames in a row that a point must be superfluous before it goes.
+const PATIENCE: u8 = 4;
+/// Frames without use after which a point goes.
+const FORGET: u16 = 48;
+/// Points that are closer than so many pixels get none between them.
+const LEAST_PIXELS: f32 = 5.0;
+/// A new point keeps this share of the pair's distance from all others.
+const SEPARATION: f32 = 0.35;
+
+/// A surface point and what it sees.
+#[derive(Clone, Debug)]
+pub(super) struct Point {
+    pub(super) place: Place,
+    pub(super) spot: Spot,
+    pub(super) hemisphere: Hemisphere,
+    pub(super) map: VisibilityMap,
+    pub(super) field: DistanceField,
+    pub(super) harmonics: Harmonics,
+    /// What of the sky's lobes arrives, see [`Sky::seen_from`].
+    pub(super) seen: Vec<f32>,
+    /// Where its influence ends, in terms of [`Metric`].
+    pub(super) radius: f32,
+    /// From 0, new or about to go, to 1.
+    pub(super) strength: f32,
+    /// Error of interpolating it from its neighbours, relative.
+    pub(super) error: f32,
+    neighbours: Vec<(u32, f32)>,
+    dying: bool,
+    calm: u8,
+    idle: u16,
+    /// Pixels may need it in this frame.
+    pub(super) needed: bool,
+    /// The map is of this frame.
+    traced: bool,
+    /// The field is of the map.
+    transformed: bool,
+}
+
+/// All sample points of a sequence.
+#[derive(Clone, Debug)]
+pub(super) struct Points {
+    pub(super) list: Vec<Point>,
+    pub(super) metric: Metric,
+    sites: Sites,
+}
+
+/// What an adaptation did.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Changes {
+    pub(super) inserted: u32,
+    pub(super) erased: u32,
+}
+
+impl Point {
+    fn new(place: Place, spot: Spot, strength: f32) -> Self {
+        Self {
+            place,
+            spot,
+            hemisphere: Hemisphere::new(spot.normal, spot.along),
+            map: VisibilityMap::default(),
+            field: DistanceField::default(),
+            harmonics: Harmonics::default(),
+            seen: Vec::new(),
+            radius: 0.0,
+            strength,
+            error: 0.0,
+            neighbours: Vec::new(),
+            dying: false,
+            calm: 0,
+            idle: 0,
+            needed: false,
+            traced: false,
+            transformed: false,
+        }
+    }
+
+    fn has_map(&self) -> bool {
+        self.map.side() > 0
+    }
+
+    /// Bytes of map and field.
+    pub(super) fn bytes(&self) -> usize {
+        self.map.bytes() + self.field.bytes()
+    }
+}
+
+impl Points {
+    pub(super) fn new(metric: Metric) -> Self {
+        Self {
+            list: Vec::new(),
+            metric,
+            sites: Sites::default(),
+        }
+    }
+
+    /// Adds points at full strength.
+    pub(super) fn start(&mut self, eyes: impl Iterator<Item = (Place, Spot)>) {
+        self.list
+            .extend(eyes.map(|(place, spot)| Point::new(place, spot, 1.0)));
+    }
+
+    /// A frame begins: points move with their surfaces; those whose triangles have no area any more go.
+    pub(super) fn ride(&mut self, geometry: &Geometry) {
+        let spots: Vec<Option<Spot>> = (self.list.par_iter())
+            .map(|point| point.place.spot(geometry))
+            .collect();
+        let mut spots = spots.into_iter();
+        self.list.retain_mut(|point| match spots.next().flatten() {
+            Some(spot) => {
+                point.spot = spot;
+                point.hemisphere = Hemisphere::new(spot.normal, spot.along);
+                point.traced = false;
+                point.strength = if point.dying {
+                    point.strength - 1.0 / FADE
+                } else {
+                    (point.strength + 1.0 / FADE).min(1.0)
+                };
+                point.strength > 0.0 && point.idle < FORGET
+            }
+            None => false,
+        });
+    }
+
+    /// Finds neighbours and from them radii; `step` is the share of the way that radii go.
+    pub(super) fn measure(&mut self, first: bool) {
+        self.sites.clear();
+        for point in &self.list {
+            self.sites.push(point.spot.position, point.spot.normal);
+        }
+        let (metric, sites) = (self.metric, &self.sites);
+        let near: Vec<Vec<(u32, f32)>> = (0..self.list.len())
+            .into_par_iter()
+            .with_min_len(16)
+            .map_init(Vec::new, |distances, i| {
+                let spot = &self.list[i].spot;
+                metric.distances(spot.position, spot.normal, sites, distances);
+                nearest(distances, i)
+            })
+            .collect();
+        for (point, near) in self.list.iter_mut().zip(near) {
+            let wanted = match near.get(RADIUS_FROM).or(near.last()) {
+                Some(&(_, distance)) => RADIUS_FACTOR * distance,
+                None => 1.0,
+            };
+            let wanted = wanted.clamp(1e-6, 2.0);
+            point.radius = if point.radius == 0.0 || first {
+                wanted
+            } else {
+                point.radius + (wanted - point.radius) * RADIUS_STEP
+            };
+            point.neighbours = near;
+        }
+    }
+
+    /// Marks the points that some pixel may need.
+    pub(super) fn mark_needed(&mut self, eyes: &Eyes) {
+        let reach = Reach::new(self, |_| true);
+        let flags: Vec<std::sync::atomic::AtomicBool> =
+            (0..self.list.len()).map(|_| false.into()).collect();
+        eyes.tiles
+            .par_iter()
+            .filter(|tile| !tile.is_empty())
+            .for_each_init(Vec::new, |ids, tile| {
+                reach.around(tile.centre, tile.radius, 1.0, ids);
+                for &id in ids.iter() {
+                    flags[id as usize].store(true, std::sync::atomic::Ordering::Relaxed);
+                }
+            });
+        for (point, flag) in self.list.iter_mut().zip(flags) {
+            point.needed = flag.into_inner();
+        }
+    }
+
+    /// A frame ends: counts how long points were of no use.
+    pub(super) fn age(&mut self) {
+        for point in &mut self.list {
+            point.idle = if point.needed { 0 } else { point.idle + 1 };
+        }
+    }
+
+    /// Traces the maps of needed points that are not of this frame. Returns points and rays.
+    pub(super) fn trace(&mut self, geometry: &Geometry, sampling: MapSampling) -> (u64, u64) {
+        let list = &self.list;
+        let waiting: Vec<usize> = (0..list.len())
+            .filter(|&i| list[i].needed && !list[i].traced)
+            .collect();
+        let results: Vec<(VisibilityMap, Harmonics, u64)> = (waiting.par_iter())
+            .map_init(MapSampler::default, |sampler, &i| {
+                let point = &list[i];
+                let mut hints = Vec::new();
+                if point.has_map() {
+                    hints.push(hint(point));
+                }
+                let others = point.neighbours.iter().map(|&(k, _)| &list[k as usize]);
+                let wanted = if point.has_map() { 1 } else { 2 };
+                hints.extend(others.filter(|other| other.has_map()).take(wanted).map(hint));
+                let spot = &point.spot;
+                let origin = offset_along_normal(spot.position, spot.flat, spot.extent);
+                let before = sampler.traced();
+                let map = sampler.sample(geometry, origin, &point.hemisphere, sampling, &hints);
+                let harmonics = harmonics(&map, &point.hemisphere);
+                (map, harmonics, sampler.traced() - before)
+            })
+            .collect();
+        let mut rays = 0;
+        for (&i, (map, harmonics, traced)) in waiting.iter().zip(results) {
+            let point = &mut self.list[i];
+            point.transformed &= point.map == map;
+            point.map = map;
+            point.harmonics = harmonics;
+            point.traced = true;
+            rays += traced;
+        }
+        (waiting.len() as u64, rays)
+    }
+
+    /// Transforms the maps that have changed.
+    pub(super) fn transform(&mut self) {
+        self.list
+            .par_iter_mut()
+            .filter(|point| point.needed && !point.transformed)
+            .for_each_init(DistanceTransform::default, |transform, point| {
+                transform.transform_into(&point.map, &mut point.field);
+                point.transformed = true;
+            });
+    }
+
+    /// What of the sky arrives at every needed point.
+    pub(super) fn look_at(&mut self, sky: &Sky) {
+        self.list
+            .par_iter_mut()
+            .filter(|point| point.needed)
+            .for_each(|point| {
+                let Point {
+                    hemisphere,
+                    map,
+                    field,
+                    seen,
+                    ..
+                } = point;
+                sky.seen_from(hemisphere, map, |w| field.at(hemisphere, w), seen);
+            });
+    }
+
+    /// Inserts and erases points. `still`: no pictures before and after that could flicker.
+    pub(super) fn adapt(
+        &mut self,
+        geometry: &Geometry,
+        view: &View,
+        eyes: &Eyes,
+        settings: &Field,
+        still: bool,
+    ) -> Changes {
+        let errors: Vec<Option<f32>> = (0..self.list.len())
+            .into_par_iter()
+            .map(|i| self.error_of(i))
+            .collect();
+        for (point, error) in self.list.iter_mut().zip(&errors) {
+            if let Some(error) = error {
+                point.error = *error;
+                point.calm = if *error < settings.erase_below && !point.dying {
+                    point.calm.saturating_add(1)
+                } else {
+                    0
+                };
+            }
+        }
+        let wanted = self.wanted(geometry, view, eyes, settings);
+        let erased = self.erase(&errors, settings, still);
+        let mut inserted = 0;
+        let strength = if still { 1.0 } else { 1.0 / FADE };
+        let mut distances = Vec::new();
+        let room = (settings.most_points as usize).saturating_sub(self.list.len());
+        for (place, spot, separation) in wanted {
+            if inserted as usize >= room {
+                break;
+            }
+            self.metric
+                .distances(spot.position, spot.normal, &self.sites, &mut distances);
+            if distances.iter().all(|&d| d > separation) {
+                self.sites.push(spot.position, spot.normal);
+                self.list.push(Point::new(place, spot, strength));
+                inserted += 1;
+            }
+        }
+        Changes { inserted, erased }
+    }
+
+    /// The error of interpolating a point from its neighbours; `None` if it or they are not known.
+    fn error_of(&self, i: usize) -> Option<f32> {
+        let point = &self.list[i];
+        if !point.traced {
+            return None;
+        }
+        let known = (point.neighbours.iter())
+            .filter(|(k, _)| self.list[*k as usize].traced && !self.list[*k as usize].dying);
+        let end = 1.2 * point.neighbours.last()?.1;
+        let (mut mean, mut sum) = (Harmonics::default(), 0.0);
+        for &(k, distance) in known {
+            let w = 1.0 / distance.max(0.01 * end) - 1.0 / end;
+            let w = (w * end).powi(2);
+            sum += w;
+            for (mean, c) in mean.iter_mut().zip(self.list[k as usize].harmonics) {
+                *mean += c * w;
+            }
+        }
+        (sum > 0.0).then(|| visibility_error(&point.harmonics, &mean.map(|c| c / sum)))
+    }
+
+    /// Places for new points, with the distance that they should keep from others: between points that see otherwise, and where no point reaches.
+    fn wanted(
+        &self,
+        geometry: &Geometry,
+        view: &View,
+        eyes: &Eyes,
+        settings: &Field,
+    ) -> Vec<(Place, Spot, f32)> {
+        let between: Vec<Vec<(Place, Spot, f32)>> = (0..self.list.len())
+            .into_par_iter()
+            .map(|i| {
+                let point = &self.list[i];
+                if !point.traced || point.dying || point.error <= settings.insert_above {
+                    return Vec::new();
+                }
+                let pairs = point.neighbours.iter().filter_map(|&(k, distance)| {
+                    let other = &self.list[k as usize];
+                    let unlike = other.traced
+                        && visibility_error(&point.harmonics, &other.harmonics)
+                            > settings.insert_above;
+                    if !unlike {
+                        return None;
+                    }
+                    let middle = (point.spot.position + other.spot.position) * 0.5;
+                    let normal = (point.spot.normal + other.spot.normal).try_normalize()?;
+                    let seen = view.project(middle)?;
+                    let eye = eyes.at(seen.point)?;
+                    let pixel = 1.0 / seen.density.sqrt();
+                    let apart = (point.spot.position - other.spot.position).length();
+                    if apart < LEAST_PIXELS * pixel {
+                        return None;
+                    }
+                    let off = self.metric.distance(middle, normal, eye.position, eye.normal);
+                    if off > 0.5 * distance {
+                        return None;
+                    }
+                    let (place, spot) = place_of(geometry, eye)?;
+                    Some((place, spot, SEPARATION * distance))
+                });
+                pairs.collect()
+            })
+            .collect();
+        let mut wanted: Vec<_> = between.into_iter().flatten().collect();
+        let reach = Reach::new(self, |_| true);
+        let mut radii: Vec<f32> = self.list.iter().map(|point| point.radius).collect();
+        radii.sort_by(f32::total_cmp);
+        let usual = radii.get(radii.len() / 2).copied().unwrap_or(0.1);
+        let uncovered: Vec<Option<(Place, Spot, f32)>> = eyes
+            .tiles
+            .par_iter()
+            .filter(|tile| !tile.is_empty())
+            .map_init(Vec::new, |ids, tile| {
+                reach.around(tile.centre, tile.radius, 1.0, ids);
+                let bare = |eye: &&Eye| {
+                    ids.iter().all(|&id| {
+                        let point = &self.list[id as usize];
+                        let (position, normal) = (point.spot.position, point.spot.normal);
+                        let d = self.metric.distance(eye.position, eye.normal, position, normal);
+                        point.dying || d >= point.radius
+                    })
+                };
+                let eye = tile.eyes.iter().step_by(3).flatten().find(bare)?;
+                let (place, spot) = place_of(geometry, eye)?;
+                Some((place, spot, 0.5 * usual))
+            })
+            .collect();
+        wanted.extend(uncovered.into_iter().flatten());
+        wanted
+    }
+
+    /// Erases points that their neighbours make up for, the smallest errors first, never two neighbours at once.
+    fn erase(&mut self, errors: &[Option<f32>], settings: &Field, still: bool) -> u32 {
+        let patience = if still { 1 } else { PATIENCE };
+        let mut candidates: Vec<(f32, usize)> = (errors.iter().enumerate())
+            .filter_map(|(i, error)| {
+                let point = &self.list[i];
+                let error = (*error)?;
+                let ready = error < settings.erase_below
+                    && point.calm >= patience
+                    && point.neighbours.len() > RADIUS_FROM;
+                (ready && !point.dying).then_some((error, i))
+            })
+            .collect();
+        candidates.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let mut kept = vec![false; self.list.len()];
+        let mut gone = 0;
+        for (_, i) in candidates {
+            let point = &self.list[i];
+            let near = || point.neighbours.iter().map(|(k, _)| *k as usize);
+            if kept[i] || near().any(|k| self.list[k].dying) {
+                continue;
+            }
+            near().for_each(|k| kept[k] = true);
+            self.list[i].dying = true;
+            gone += 1;
+        }
+        if still && gone > 0 {
+            // Numbers of neighbours are found anew before they are used again.
+            self.list.retain(|point| !point.dying);
+            self.sites.clear();
+            for point in &self.list {
+                self.sites.push(point.spot.position, point.spot.normal);
+            }
+        }
+        gone
+    }
+
+    /// Bytes of maps and fields.
+    pub(super) fn bytes(&self) -> u64 {
+        self.list.iter().map(|point| point.bytes() as u64).sum()
+    }
+}
+
+fn hint(point: &Point) -> Hint<'_> {
+    Hint {
+        map: &point.map,
+        hemisphere: point.hemisphere,
+    }
+}
+
+/// The place that a pixel shows.
+pub(super) fn place_of(geometry: &Geometry, eye: &Eye) -> Option<(Place, Spot)> {
+    // The normal is on the side of the viewer: as a direction towards them it finds the side again.
+    Place::of_hit(geometry, &eye.hit, eye.normal)
+}
+
+/// The nearest others by distance.
+fn nearest(distances: &[f32], own: usize) -> Vec<(u32, f32)> {
+    let mut near: Vec<(u32, f32)> = Vec::with_capacity(NEIGHBOURS + 1);
+    let mut farthest = f32::INFINITY;
+    for (k, &d) in distances.iter().enumerate() {
+        if d < farthest && k != own {
+            let at = near.partition_point(|&(_, other)| other <= d);
+            near.insert(at, (k as u32, d));
+            near.truncate(NEIGHBOURS);
+            if near.len() == NEIGHBOURS {
+                farthest = near[NEIGHBOURS - 1].1;
+            }
+        }
+    }
+    near
+}
+
+/// Points and how far in space they reach, for balls that ask who reaches them.
+#[derive(Debug)]
+pub(super) struct Reach {
+    columns: [Vec<f32>; 4],
+    ids: Vec<u32>,
+}
+
+impl Reach {
+    pub(super) fn new(points: &Points, wanted: impl Fn(&Point) -> bool) -> Self {
+        let mut reach = Self {
+            columns: Default::default(),
+            ids: Vec::new(),
+        };
+        for (id, point) in points.list.iter().enumerate() {
+            if wanted(point) {
+                let Vec3 { x, y, z } = point.spot.position;
+                let metres = point.radius / points.metric.per_metre;
+                for (column, value) in reach.columns.iter_mut().zip([x, y, z, metres]) {
+                    column.push(value);
+                }
+                reach.ids.push(id as u32);
+            }
+        }
+        reach
+    }
+
+    /// The points whose reach, times `factor`, meets a ball, in ascending order.
+    pub(super) fn around(&self, centre: Vec3, radius: f32, factor: f32, out: &mut Vec<u32>) {
+        out.clear();
+        find(self, centre, radius, factor, out);
+    }
+}
+
+super::math::wide! {
+fn find(reach: &Reach, centre: Vec3, radius: f32, factor: f32, out: &mut Vec<u32>) {
+    let count = reach.ids.len();
+    let [x, y, z, r] = reach.columns.each_ref().map(|column| &column[..count]);
+    for start in (0..count).step_by(16) {
+        let end = (start + 16).min(count);
+        let mut meets = [false; 16];
+        for k in start..end {
+            let (dx, dy, dz) = (x[k] - centre.x, y[k] - centre.y, z[k] - centre.z);
+            let sum = r[k] * factor + radius;
+            meets[k - start] = dx * dx + dy * dy + dz * dz < sum * sum;
+        }
+        for (k, meets) in meets[..end - start].iter().enumerate() {
+            if *meets {
+                out.push(reach.ids[start + k]);
+            }
+        }
+    }
+}
+}
