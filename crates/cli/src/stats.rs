@@ -101,6 +101,46 @@ pub struct Work {
     /// Instant radiosity: what the bound took away, as a share of the picture's sum.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub clamped_energy: Option<f64>,
+    /// Fields of visibility: what they took.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub field: Option<Field>,
+}
+
+/// What fields of visibility took for one picture.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Field {
+    /// Seconds for moving points and deciding where they should be.
+    pub t_update: f64,
+    /// Seconds for visibility maps.
+    pub t_visibility: f64,
+    /// Seconds for distance transforms.
+    pub t_transform: f64,
+    /// Seconds for lines of sight and shading.
+    pub t_integration: f64,
+    /// Points that the picture used.
+    pub sample_points: u64,
+    /// Rays for visibility maps.
+    pub rays: u64,
+    /// Pixels that see a surface.
+    pub covered_pixels: u64,
+    /// Bytes of maps and fields.
+    pub bytes: u64,
+}
+
+impl Field {
+    /// As the integrator reports it.
+    pub fn of(report: &occlude_render::integrator::FieldReport) -> Self {
+        Self {
+            t_update: report.update,
+            t_visibility: report.visibility,
+            t_transform: report.transform,
+            t_integration: report.integration,
+            sample_points: report.points,
+            rays: report.rays,
+            covered_pixels: report.covered,
+            bytes: report.bytes,
+        }
+    }
 }
 
 /// One picture of a sequence.
@@ -119,6 +159,9 @@ pub struct Frame {
     /// Instant radiosity: virtual lights that the frame before did not have.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub vpls_renewed: Option<u32>,
+    /// Fields of visibility: what they took.
+    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    pub field: Option<Field>,
 }
 
 /// Rays by kind.

@@ -49,6 +49,45 @@ impl fmt::Display for Size {
     }
 }
 
+/// Relative errors between which things stay as they are, `MAX,MIN`, such as `10%,5%`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Thresholds {
+    pub insert_above: f32,
+    pub erase_below: f32,
+}
+
+impl FromStr for Thresholds {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wanted = || format!("'{text}' is not MAX,MIN, for example 10%,5% or 0.1,0.05");
+        let (max, min) = text.split_once(',').ok_or_else(wanted)?;
+        let value = |part: &str| {
+            let part = part.trim();
+            let (number, scale) = match part.strip_suffix('%') {
+                Some(number) => (number, 0.01),
+                None => (part, 1.0),
+            };
+            let value = number.parse::<f32>().ok().filter(|v| v.is_finite())?;
+            Some(value * scale)
+        };
+        let insert_above = value(max).ok_or_else(wanted)?;
+        let erase_below = value(min).ok_or_else(wanted)?;
+        if insert_above <= 0.0 || erase_below < 0.0 {
+            return Err(format!("'{text}': MAX must be above 0 and MIN at least 0"));
+        }
+        if erase_below >= insert_above {
+            return Err(format!(
+                "'{text}': MAX comes first and must be above MIN, or points would come and go"
+            ));
+        }
+        Ok(Self {
+            insert_above,
+            erase_below,
+        })
+    }
+}
+
 /// Frames at most: more is a mistake, not a film.
 const MAX_FRAMES: u32 = 1_000_000;
 

@@ -58,6 +58,15 @@ fn impossible_options_are_refused() {
     dir.must("scene cornell -o c.glb");
     for (options, words) in [
         ("--size 0x0", &["0x0", "--size"][..]),
+        (
+            "--integrator field --threshold 5%,10%",
+            &["--threshold", "MAX comes first"],
+        ),
+        (
+            "--integrator field --resolution 100",
+            &["--resolution", "128"],
+        ),
+        ("--integrator field --shard 0/2", &["--shard"]),
         ("--size 100000x100000", &["too large"]),
         ("--size 12", &["--size"]),
         ("--samples 0", &["--samples"]),

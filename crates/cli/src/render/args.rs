@@ -1,5 +1,6 @@
 //! Options of `occlude render`, and what must hold before any work.
 
+use super::field::FieldArgs;
 use super::strategy::{self, GuaranteeName, Strategy};
 use crate::error::CliError;
 use crate::output;
@@ -131,7 +132,7 @@ pub struct RenderArgs {
     #[command(flatten)]
     pub sky: SkyArgs,
 
-    /// path: all light paths; bidirectional: the same from both ends, for caustics and light that comes by detours; direct: light that comes straight from lights; instant-radiosity: many virtual lights, no noise in diffuse rooms; ao: ambient occlusion, white surfaces in an even sky
+    /// path: all light paths; bidirectional: the same from both ends, for caustics and light that comes by detours; direct: light that comes straight from lights; instant-radiosity: many virtual lights, no noise in diffuse rooms; field: direct light of a sky without noise, from visibility at few points; ao: ambient occlusion, white surfaces in an even sky
     #[arg(long, value_enum, default_value_t = Integrator::Path, help_heading = "Work")]
     pub integrator: Integrator,
 
@@ -193,6 +194,10 @@ pub struct RenderArgs {
         help_heading = "Work"
     )]
     pub renew_vpls: Option<Renewal>,
+
+    /// What --integrator field knows its points by
+    #[command(flatten)]
+    pub field: FieldArgs,
 
     /// Where sample points come from
     #[arg(long, value_enum, default_value_t = Sampler::Sobol, help_heading = "Work")]
@@ -278,6 +283,23 @@ impl RenderArgs {
                 "layers need one: add -o FILE.exr",
             ));
         }
+        if self.integrator == Integrator::Field {
+            self.field.check()?;
+            if self.shard.is_some() {
+                return Err(CliError::input(
+                    "parts would not add up to the picture of one machine: points follow from the whole picture and from frames before",
+                    "--shard",
+                    "use another --integrator, or other --frames on each machine",
+                ));
+            }
+            if self.visibility != Strategy::Exact {
+                return Err(CliError::input(
+                    "fields of visibility ask nobody else",
+                    "--visibility",
+                    "leave it out, or use another --integrator",
+                ));
+            }
+        }
         if self.guarantee.is_some() && !matches!(self.visibility, Strategy::Quantized(_)) {
             return Err(CliError::input(
                 "nothing to guarantee",
@@ -358,10 +380,11 @@ impl RenderArgs {
     /// Samples a pixel of the whole work, shards together.
     pub fn total_samples(&self) -> u32 {
         let open_ended = self.time_limit.is_some() || self.noise.is_some();
-        self.samples.unwrap_or(if open_ended {
-            MAX_SAMPLES
-        } else {
-            DEFAULT_SAMPLES
+        self.samples.unwrap_or(match self.integrator {
+            // Without noise: edges alone take more, by themselves.
+            Integrator::Field => 1,
+            _ if open_ended => MAX_SAMPLES,
+            _ => DEFAULT_SAMPLES,
         })
     }
 }
@@ -386,6 +409,8 @@ pub enum Integrator {
     /// Many virtual lights
     #[value(name = "instant-radiosity")]
     InstantRadiosity,
+    /// Direct light by fields of visibility
+    Field,
 }
 
 /// Reconstruction filters.

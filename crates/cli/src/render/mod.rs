@@ -2,6 +2,7 @@
 
 mod args;
 mod camera_path;
+mod field;
 mod sequence;
 mod setup;
 mod strategy;
@@ -120,7 +121,7 @@ fn quantized(
     pose: &Pose,
 ) -> Result<Quantized, CliError> {
     let asks = match args.integrator {
-        Integrator::Path | Integrator::Direct | Integrator::Ao => Asks::Single,
+        Integrator::Path | Integrator::Direct | Integrator::Ao | Integrator::Field => Asks::Single,
         Integrator::Bidirectional => Asks::Pairs,
         Integrator::InstantRadiosity => Asks::Many,
     };
@@ -210,12 +211,11 @@ fn work<'a, V: Visibility<Geometry<'a>>>(
     });
     context.progress.finish();
     let done = film.min_samples();
-    context.stats.work = Some(work_stats(
-        done,
-        &report,
-        (visibility.name(), visibility.class()),
-        visibility.bytes(),
-    ));
+    let (strategy, bytes) = match &report.field {
+        Some(field) => (("field", Class::Biased), field.bytes),
+        None => ((visibility.name(), visibility.class()), visibility.bytes()),
+    };
+    context.stats.work = Some(work_stats(done, &report, strategy, bytes));
     if film.dropped() > 0 {
         context.warn(format_args!(
             "{} samples were not finite and count as black: please report the scene",
@@ -272,6 +272,7 @@ fn work_stats(
             shadow: visibility.traced,
             fill: visibility.fill,
         },
+        field: report.field.map(|field| stats::Field::of(&field)),
         visibility: stats::Visibility {
             strategy: strategy.to_owned(),
             class: class.name(),
@@ -310,6 +311,7 @@ fn settings(args: &RenderArgs, seed: u64) -> RenderSettings {
                     compensate: args.compensate,
                 })
             }
+            Integrator::Field => integrator::Integrator::Field(args.field.settings()),
             Integrator::Ao => integrator::Integrator::AmbientOcclusion {
                 distance: args.ao_distance.unwrap_or(f32::INFINITY),
             },

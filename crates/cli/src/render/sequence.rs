@@ -250,6 +250,7 @@ impl Plan<'_> {
                 queries: report.visibility.queries,
                 traced: report.visibility.traced,
                 vpls_renewed: report.instant_radiosity.map(|ir| ir.renewed),
+                field: report.field.map(|field| stats::Field::of(&field)),
             });
             context
                 .progress

@@ -83,9 +83,12 @@ mod tests {
     #[test]
     fn nothing_is_lost_or_won() {
         for roughness in [0.0, 0.3, 0.7, 1.0] {
-            for (metallic, clearcoat, sheen) in
-                [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.4, 0.7, 0.0), (0.2, 0.0, 0.5)]
-            {
+            for (metallic, clearcoat, sheen) in [
+                (0.0, 0.0, 0.0),
+                (1.0, 0.0, 0.0),
+                (0.4, 0.7, 0.0),
+                (0.2, 0.0, 0.5),
+            ] {
                 let parameters = BsdfParameters {
                     base_color: Vec3::new(0.8, 0.4, 0.1),
                     metallic,

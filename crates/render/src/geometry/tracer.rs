@@ -283,6 +283,23 @@ impl<'a> Geometry<'a> {
         self.still
             .blockers
             .closest_batch(rays, hits, &self.filter());
+        self.nearer(rays, hits);
+    }
+
+    /// [`Self::closest_batch`] for rays of which neighbours run alike, such as those through neighbouring pixels.
+    ///
+    /// # Panics
+    /// If the slices differ in length.
+    pub fn closest_coherent(&self, rays: &[Ray], hits: &mut [Option<Hit>]) {
+        assert_eq!(rays.len(), hits.len());
+        self.still
+            .blockers
+            .closest_coherent(rays, hits, &self.filter());
+        self.nearer(rays, hits);
+    }
+
+    /// What panes and moving parts have before the hits that are known.
+    fn nearer(&self, rays: &[Ray], hits: &mut [Option<Hit>]) {
         let moving = self.moving.as_ref().map(|moving| &*moving.part.blockers);
         for nearer in self.panes().chain(moving) {
             for (ray, hit) in rays.iter().zip(&mut *hits) {

@@ -46,8 +46,11 @@ impl DeltaLight {
                     (scale * axis.dot(-wi) + offset).clamp(0.0, 1.0).powi(2)
                 });
                 let irradiance = intensity * (falloff / (distance * distance));
-                (irradiance.is_finite() && irradiance != Vec3::ZERO)
-                    .then_some((wi, Some(own), irradiance))
+                (irradiance.is_finite() && irradiance != Vec3::ZERO).then_some((
+                    wi,
+                    Some(own),
+                    irradiance,
+                ))
             }
         }
     }

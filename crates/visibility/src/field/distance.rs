@@ -98,7 +98,11 @@ impl DistanceField {
             };
             let (upper, lower) = (pair(at), pair(at + side));
             let inside = (upper + (lower - upper) * v) * STEP;
-            let inside = if below[k] < 0.0 { inside.min(0.0) } else { inside };
+            let inside = if below[k] < 0.0 {
+                inside.min(0.0)
+            } else {
+                inside
+            };
             out[k] = inside + below[k];
         }
         out

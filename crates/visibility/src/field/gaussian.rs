@@ -90,14 +90,20 @@ impl VisibleShare {
         let sharpness = sharpness.clamp(FIRST, FIRST * (1u32 << OCTAVES) as f32 * 0.999);
         // Exponent and first two bits of the mantissa are the row, the others lie between rows.
         let above = sharpness.to_bits() - FIRST.to_bits();
-        let (row, t) = (above >> 21, (above & 0x1f_ffff) as f32 / (1u32 << 21) as f32);
+        let (row, t) = (
+            above >> 21,
+            (above & 0x1f_ffff) as f32 / (1u32 << 21) as f32,
+        );
         let half = (COLUMNS / 2) as f32;
         let x = (distance * scale_of(sharpness) + half).clamp(0.0, 2.0 * half - 1e-3);
         let column = truncate(x);
         let u = x - column as f32;
         let at = row as usize * COLUMNS + column as usize;
         let along = |at: usize| {
-            let (a, b) = (self.table[at & (SIZE - 1)], self.table[(at + 1) & (SIZE - 1)]);
+            let (a, b) = (
+                self.table[at & (SIZE - 1)],
+                self.table[(at + 1) & (SIZE - 1)],
+            );
             a + (b - a) * u
         };
         let (lower, upper) = (along(at), along(at + COLUMNS));

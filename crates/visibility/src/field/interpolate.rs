@@ -97,17 +97,12 @@ impl Metric {
 }
 
 /// The weight of a sample point at a distance, of one whose radius of influence is given: 0 from there on, and growing without corners
-/// towards the point. Finite even at the point itself.
-#[inline]
+/// towards the point, where it is finite. Nearer than a third of the radius points count by their distances, not by their radii.
+#[inline(always)]
 pub fn weight(distance: f32, radius: f32) -> f32 {
-    // A point of its own is worth as much as one within a hundredth of the radius.
-    let ratio = distance.max(0.01 * radius);
-    if ratio < radius {
-        let w = radius / ratio - 1.0;
-        w * w
-    } else {
-        0.0
-    }
+    let rest = (1.0 - distance / radius).max(0.0);
+    let blunt = 0.3 * radius;
+    rest * rest / (distance * distance + blunt * blunt)
 }
 
 #[cfg(test)]
@@ -153,7 +148,12 @@ mod tests {
     #[test]
     fn many_distances_are_one_by_one() {
         let mut sites = Sites::default();
-        let place = |k: f32| (Vec3::new(k.sin(), k * 0.01, k.cos()), Vec3::new(k.cos(), 1.0, -0.3).normalize());
+        let place = |k: f32| {
+            (
+                Vec3::new(k.sin(), k * 0.01, k.cos()),
+                Vec3::new(k.cos(), 1.0, -0.3).normalize(),
+            )
+        };
         (0..37).for_each(|k| {
             let (y, m) = place(k as f32);
             sites.push(y, m);
@@ -178,5 +178,6 @@ mod tests {
         }
         assert_eq!(last, 0.0);
         assert!(weight(1.999, 2.0) < 1e-5);
+        assert_eq!(weight(f32::INFINITY, 2.0), 0.0);
     }
 }

@@ -101,7 +101,11 @@ impl Eyes {
     pub(super) fn at(&self, point: Vec2) -> Option<&Eye> {
         let (x, y) = (point.x.floor(), point.y.floor());
         let last = self.tiles.last()?;
-        if x < 0.0 || y < 0.0 || x >= (last.x + last.width) as f32 || y >= (last.y + last.height) as f32 {
+        if x < 0.0
+            || y < 0.0
+            || x >= (last.x + last.width) as f32
+            || y >= (last.y + last.height) as f32
+        {
             return None;
         }
         let (x, y) = (x as u32, y as u32);
@@ -118,7 +122,7 @@ pub(super) fn look(
     panes: &mut Vec<Panes>,
 ) {
     let mut hits = vec![None; rays.len()];
-    geometry.closest_batch(rays, &mut hits);
+    geometry.closest_coherent(rays, &mut hits);
     eyes.clear();
     panes.clear();
     let glass = geometry.has_panes();

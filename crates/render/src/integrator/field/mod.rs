@@ -29,12 +29,12 @@ use super::{RayCounts, RenderReport, RenderSettings, StoppedBy, World};
 use crate::camera::View;
 use crate::film::Film;
 use crate::job::Job;
-use crate::light::Lights;
+use crate::light::{Environment, Lights};
 use eyes::{Eyes, TILE};
 use glam::{Vec2, Vec3};
 use occlude_visibility::VisibilityStats;
 use occlude_visibility::field::{MapSampling, Metric, SphericalGaussian};
-use points::{Points, Reach};
+use points::{Changes, Points, Reach, Round};
 use rayon::prelude::*;
 use shade::{Counts, Scratch, Shaded, Shading};
 use sky::Sky;
@@ -76,6 +76,13 @@ impl Default for Field {
             edge_samples: 8,
             light_samples: 4,
         }
+    }
+}
+
+impl Field {
+    /// The share of a GGX reflection that its lobes put in wrong places, 0 to 1.
+    pub fn gloss_residual(&self, alpha: f32) -> f32 {
+        gloss::residual(alpha, self.gloss_lobes.clamp(1, 3) as usize)
     }
 }
 
@@ -126,6 +133,50 @@ pub struct SkySun {
     pub angular_radius: f32,
 }
 
+impl SkyLobes {
+    /// Lobes in fixed directions, their amplitudes fitted by non-negative least squares.
+    fn coarse(environment: &Environment) -> Self {
+        const LOBES: u32 = 40;
+        const PLACES: u32 = 4096;
+        const ROUNDS: usize = 60;
+        let spiral = |i: u32, n: u32| {
+            let y = 1.0 - 2.0 * (i as f32 + 0.5) / n as f32;
+            let r = (1.0 - y * y).sqrt();
+            let (sin, cos) = (i as f32 * 2.399_963_2).sin_cos();
+            Vec3::new(r * cos, y, r * sin)
+        };
+        let mut lobes: Vec<SphericalGaussian> = (0..LOBES)
+            .map(|i| SphericalGaussian {
+                axis: spiral(i, LOBES),
+                sharpness: 14.0,
+                amplitude: environment.integral() / (4.0 * std::f32::consts::PI),
+            })
+            .collect();
+        let places: Vec<Vec3> = (0..PLACES).map(|i| spiral(i, PLACES)).collect();
+        let truth: Vec<Vec3> = places.iter().map(|w| environment.radiance(*w)).collect();
+        let unit =
+            |lobe: &SphericalGaussian, w: Vec3| (lobe.sharpness * (lobe.axis.dot(w) - 1.0)).exp();
+        for _ in 0..ROUNDS {
+            let found: Vec<Vec3> = (places.iter())
+                .map(|w| lobes.iter().map(|lobe| lobe.at(*w)).sum())
+                .collect();
+            for lobe in &mut lobes {
+                let (mut wanted, mut had) = (Vec3::ZERO, Vec3::splat(1e-20));
+                for ((w, truth), found) in places.iter().zip(&truth).zip(&found) {
+                    let value = unit(lobe, *w);
+                    wanted += *truth * value;
+                    had += *found * value;
+                }
+                lobe.amplitude *= wanted / had;
+            }
+        }
+        Self {
+            lobes,
+            suns: Vec::new(),
+        }
+    }
+}
+
 impl SkySun {
     /// A direction inside of the disk, uniform in `u` and `v`.
     fn towards_point(&self, u: f32, v: f32) -> Vec3 {
@@ -167,6 +218,10 @@ impl Fields {
         film: &mut Film,
         job: &Job,
     ) -> RenderReport {
+        if self.lobes.is_none() {
+            let lobes = world.lights.sky().map(SkyLobes::coarse);
+            self.set_sky(lobes.unwrap_or_default());
+        }
         let mut report = FieldReport::default();
         let mut rays = RayCounts::default();
         let mut stats = VisibilityStats::default();
@@ -182,7 +237,11 @@ impl Fields {
         let first = self.points.is_none();
         let points = self.points.get_or_insert_with(|| {
             let (_, radius) = crate::light::bounding_sphere(geometry.scene, geometry.pose);
-            let size = if radius.is_finite() && radius > 0.0 { 2.0 * radius } else { 1.0 };
+            let size = if radius.is_finite() && radius > 0.0 {
+                2.0 * radius
+            } else {
+                1.0
+            };
             Points::new(Metric {
                 per_metre: PER_SIZE / size,
             })
@@ -211,11 +270,18 @@ impl Fields {
             if round == rounds || cancelled {
                 break;
             }
-            let changes = points.adapt(geometry, view, &eyes, field, first);
+            let now = if first {
+                Round::First {
+                    last: round + 1 == rounds,
+                }
+            } else {
+                Round::Later
+            };
+            let changes = points.adapt(geometry, view, &eyes, field, now);
             report.inserted += u64::from(changes.inserted);
             report.erased += u64::from(changes.erased);
             clock.add_to(&mut report.update);
-            if changes.inserted + changes.erased == 0 {
+            if changes == Changes::default() && !first {
                 break;
             }
         }
@@ -257,11 +323,6 @@ impl Fields {
         report.bytes = points.bytes();
         job.advance(2, counts.primary + counts.shadow);
         finish(StoppedBy::Samples, rays, stats, report)
-    }
-
-    /// Whether the sky's lobes are known.
-    pub(super) fn has_sky(&self) -> bool {
-        self.lobes.is_some()
     }
 }
 
@@ -326,7 +387,11 @@ fn shade(shading: &Shading, eyes: &Eyes, settings: &RenderSettings, film: &mut F
             let mut out = Vec::new();
             for i in 0..tile.width * tile.height {
                 let (x, y) = (tile.x + i % tile.width, tile.y + i / tile.width);
-                let edge = if is_edge(x, y) { shading.settings.edge_samples } else { 0 };
+                let edge = if is_edge(x, y) {
+                    shading.settings.edge_samples
+                } else {
+                    0
+                };
                 let count = all.max(edge);
                 if count == 0 {
                     continue;

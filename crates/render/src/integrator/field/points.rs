@@ -75,8 +75,20 @@ pub(super) struct Points {
     sites: Sites,
 }
 
+/// When points are adapted.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Round {
+    /// In the first frame, where nothing can flicker: points are inserted round after round, and erased once at the end.
+    First {
+        /// The last one.
+        last: bool,
+    },
+    /// In a frame after others.
+    Later,
+}
+
 /// What an adaptation did.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Changes {
     pub(super) inserted: u32,
     pub(super) erased: u32,
@@ -224,7 +236,12 @@ impl Points {
                 }
                 let others = point.neighbours.iter().map(|&(k, _)| &list[k as usize]);
                 let wanted = if point.has_map() { 1 } else { 2 };
-                hints.extend(others.filter(|other| other.has_map()).take(wanted).map(hint));
+                hints.extend(
+                    others
+                        .filter(|other| other.has_map())
+                        .take(wanted)
+                        .map(hint),
+                );
                 let spot = &point.spot;
                 let origin = offset_along_normal(spot.position, spot.flat, spot.extent);
                 let before = sampler.traced();
@@ -273,14 +290,14 @@ impl Points {
             });
     }
 
-    /// Inserts and erases points. `still`: no pictures before and after that could flicker.
+    /// Inserts and erases points.
     pub(super) fn adapt(
         &mut self,
         geometry: &Geometry,
         view: &View,
         eyes: &Eyes,
         settings: &Field,
-        still: bool,
+        round: Round,
     ) -> Changes {
         let errors: Vec<Option<f32>> = (0..self.list.len())
             .into_par_iter()
@@ -297,9 +314,15 @@ impl Points {
             }
         }
         let wanted = self.wanted(geometry, view, eyes, settings);
-        let erased = self.erase(&errors, settings, still);
+        let erased = match round {
+            Round::First { last: false } => 0,
+            _ => self.erase(&errors, settings, matches!(round, Round::First { .. })),
+        };
         let mut inserted = 0;
-        let strength = if still { 1.0 } else { 1.0 / FADE };
+        let strength = match round {
+            Round::First { .. } => 1.0,
+            Round::Later => 1.0 / FADE,
+        };
         let mut distances = Vec::new();
         let room = (settings.most_points as usize).saturating_sub(self.list.len());
         for (place, spot, separation) in wanted {
@@ -370,7 +393,9 @@ impl Points {
                     if apart < LEAST_PIXELS * pixel {
                         return None;
                     }
-                    let off = self.metric.distance(middle, normal, eye.position, eye.normal);
+                    let off = self
+                        .metric
+                        .distance(middle, normal, eye.position, eye.normal);
                     if off > 0.5 * distance {
                         return None;
                     }
@@ -395,7 +420,9 @@ impl Points {
                     ids.iter().all(|&id| {
                         let point = &self.list[id as usize];
                         let (position, normal) = (point.spot.position, point.spot.normal);
-                        let d = self.metric.distance(eye.position, eye.normal, position, normal);
+                        let d = self
+                            .metric
+                            .distance(eye.position, eye.normal, position, normal);
                         point.dying || d >= point.radius
                     })
                 };

@@ -9,7 +9,7 @@ use super::{Field, World};
 use crate::bsdf::{Bsdf, Gloss};
 use crate::camera::View;
 use crate::film::Features;
-use crate::geometry::{Geometry, Surface};
+use crate::geometry::Surface;
 use crate::light::Lights;
 use crate::sampling::{Sampler, SamplerKind};
 use glam::{Vec2, Vec3};
@@ -106,7 +106,12 @@ impl Shading<'_, '_> {
             high = high.max(eye.position);
         }
         if low.x <= high.x {
-            self.gather((low + high) * 0.5, (high - low).length() * 0.5, 1.0, scratch);
+            self.gather(
+                (low + high) * 0.5,
+                (high - low).length() * 0.5,
+                1.0,
+                scratch,
+            );
         }
         let seed = points.first().map_or([0; 2], |p| [p.x as u32, p.y as u32]);
         let out = self.shade(&lines, &eyes, &panes, seed, scratch);
@@ -116,7 +121,8 @@ impl Shading<'_, '_> {
 
     /// Collects the points that reach a ball.
     fn gather(&self, centre: Vec3, radius: f32, factor: f32, scratch: &mut Scratch) {
-        self.reach.around(centre, radius.max(0.0), factor, &mut scratch.ids);
+        self.reach
+            .around(centre, radius.max(0.0), factor, &mut scratch.ids);
         scratch.sites.clear();
         for &id in &scratch.ids {
             let spot = &self.points.list[id as usize].spot;
@@ -156,7 +162,9 @@ impl Shading<'_, '_> {
         scratch.blocked.resize(scratch.rays.len(), false);
         geometry.occluded_batch(&scratch.rays, &mut scratch.blocked);
         scratch.counts.shadow += scratch.rays.len() as u64;
-        for ((asked, blocked), ray) in (scratch.asked.iter().zip(&scratch.blocked)).zip(&scratch.rays) {
+        for ((asked, blocked), ray) in
+            (scratch.asked.iter().zip(&scratch.blocked)).zip(&scratch.rays)
+        {
             if !blocked {
                 let tint = geometry.pane_transmittance(ray);
                 out[usize::from(asked.pixel)].radiance += asked.radiance * tint;
@@ -171,7 +179,8 @@ impl Shading<'_, '_> {
                 let wo = surface.world_from_local.transpose() * -line.direction;
                 let bsdf = Bsdf::new(&surface.bsdf_parameters(geometry), wo);
                 let gloss = bsdf.reflection().gloss;
-                shaded.radiance += self.mirror(&surface, -line.direction, &gloss, &mut scratch.counts);
+                shaded.radiance +=
+                    self.mirror(&surface, -line.direction, &gloss, &mut scratch.counts);
             }
         }
         out
@@ -213,8 +222,13 @@ impl Shading<'_, '_> {
                 radiance += reflection.cosine * irradiance * FRAC_1_PI;
             }
         }
-        let coat = reflection.coat.map(|(gloss, own)| (gloss, surface.world_from_local * own));
-        for (gloss, about) in [Some((reflection.gloss, normal)), coat].into_iter().flatten() {
+        let coat = reflection
+            .coat
+            .map(|(gloss, own)| (gloss, surface.world_from_local * own));
+        for (gloss, about) in [Some((reflection.gloss, normal)), coat]
+            .into_iter()
+            .flatten()
+        {
             if gloss.albedo == Vec3::ZERO {
                 continue;
             }
@@ -242,13 +256,17 @@ impl Shading<'_, '_> {
         let metric = self.points.metric;
         let near = &mut scratch.near;
         near.clear();
-        metric.distances(eye.position, eye.normal, &scratch.sites, &mut scratch.distances);
+        metric.distances(
+            eye.position,
+            eye.normal,
+            &scratch.sites,
+            &mut scratch.distances,
+        );
         for (&id, &distance) in scratch.ids.iter().zip(&scratch.distances) {
             let point = &self.points.list[id as usize];
             let w = weight(distance, point.radius) * point.strength;
             if w > 0.0 {
-                // A point's say falls with the distance alone; its radius says where it ends.
-                near.push((id, w / (point.radius * point.radius)));
+                near.push((id, w));
             }
         }
         if near.is_empty() {
@@ -261,7 +279,11 @@ impl Shading<'_, '_> {
                 let spot = &point.spot;
                 let d = metric.distance(eye.position, eye.normal, spot.position, spot.normal);
                 // Points that look away come last, by distance in space.
-                let d = if d.is_finite() { d } else { 1e3 + (spot.position - eye.position).length() };
+                let d = if d.is_finite() {
+                    d
+                } else {
+                    1e3 + (spot.position - eye.position).length()
+                };
                 if nearest.is_none_or(|(least, _)| d < least) {
                     nearest = Some((d, id as u32));
                 }
@@ -272,9 +294,44 @@ impl Shading<'_, '_> {
             near.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
             near.truncate(MOST_NEAR);
         }
-        let sum: f32 = near.iter().map(|(_, w)| w).sum();
+        self.balance(eye, near);
+    }
+
+    /// Makes weights sum to 1, and their points' middle lie at the eye as far as may be: what grows evenly along the surface is then interpolated
+    /// exactly, where plain weights make steps around the points (moving least squares; Shepard 1968 beyond the first order).
+    fn balance(&self, eye: &Eye, near: &mut [(u32, f32)]) {
+        // Where all points lie on one side the middle is not to be had: the correction ends at this share of the weight.
+        const LEAST: f32 = 0.25;
+        let (s, t) = eye.normal.any_orthonormal_pair();
+        let place = |id: u32| {
+            let step = self.points.list[id as usize].spot.position - eye.position;
+            Vec2::new(step.dot(s), step.dot(t))
+        };
+        let (mut sum, mut first) = (0.0_f32, Vec2::ZERO);
+        let (mut xx, mut xy, mut yy) = (0.0_f32, 0.0_f32, 0.0_f32);
+        for &(id, w) in near.iter() {
+            let p = place(id);
+            sum += w;
+            first += p * w;
+            (xx, xy, yy) = (xx + w * p.x * p.x, xy + w * p.x * p.y, yy + w * p.y * p.y);
+        }
+        let ridge = 0.05 * (xx + yy) + 1e-30;
+        let (xx, yy) = (xx + ridge, yy + ridge);
+        let det = xx * yy - xy * xy;
+        let slope = -Vec2::new(yy * first.x - xy * first.y, xx * first.y - xy * first.x) / det;
+        let taken = -slope.dot(first) / sum;
+        let slope = if taken > 1.0 - LEAST {
+            slope * ((1.0 - LEAST) / taken)
+        } else {
+            slope
+        };
+        let mut total = 0.0;
+        for (id, w) in near.iter_mut() {
+            *w *= 1.0 + slope.dot(place(*id));
+            total += *w;
+        }
         for (_, w) in near.iter_mut() {
-            *w /= sum;
+            *w /= total;
         }
     }
 
@@ -307,7 +364,13 @@ impl Shading<'_, '_> {
     }
 
     /// What a mirror shows of the sky and of emissive surfaces: one ray.
-    fn mirror(&self, surface: &Surface, toward_eye: Vec3, gloss: &Gloss, counts: &mut Counts) -> Vec3 {
+    fn mirror(
+        &self,
+        surface: &Surface,
+        toward_eye: Vec3,
+        gloss: &Gloss,
+        counts: &mut Counts,
+    ) -> Vec3 {
         let geometry = self.world.geometry;
         let normal = surface.shading_normal();
         let direction = 2.0 * normal.dot(toward_eye) * normal - toward_eye;
@@ -381,7 +444,13 @@ impl Shading<'_, '_> {
                 ask(sun.towards_point(u, v), None, sun.irradiance * share);
             }
             let Some(areas) = self.areas else { continue };
-            let found = areas.sample(geometry.scene, surface.position, normal, pick, Vec2::new(u, v));
+            let found = areas.sample(
+                geometry.scene,
+                surface.position,
+                normal,
+                pick,
+                Vec2::new(u, v),
+            );
             if let Some(light) = found {
                 ask(light.wi, light.target, light.radiance * (share / light.pdf));
             }

@@ -1,7 +1,7 @@
 //! The sky as lobes, in the order and layout that shading wants.
 
-use super::math::{exp, wide};
 use super::SkyLobes;
+use super::math::{exp, wide};
 use glam::Vec3;
 use occlude_visibility::field::{Hemisphere, SphericalGaussian, VisibilityMap, VisibleShare};
 
@@ -250,7 +250,10 @@ mod tests {
                 let cos = -1.0 + f64::from(i) / 20.0;
                 let fit = (slope * bend(cos as f32, width) + bias).max(0.0);
                 let error = (f64::from(fit) - irradiance_of(f64::from(sharpness), cos)).abs();
-                assert!(error < 0.015 * largest, "{sharpness} {cos}: {error} of {largest}");
+                assert!(
+                    error < 0.015 * largest,
+                    "{sharpness} {cos}: {error} of {largest}"
+                );
             }
         }
     }
@@ -288,7 +291,11 @@ mod tests {
                 all += value;
                 part += if free(local) { value } else { 0.0 };
             }
-            assert!((f64::from(*share) - part / all).abs() < 5e-3, "{k}: {share} {}", part / all);
+            assert!(
+                (f64::from(*share) - part / all).abs() < 5e-3,
+                "{k}: {share} {}",
+                part / all
+            );
         }
     }
 }

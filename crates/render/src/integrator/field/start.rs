@@ -14,9 +14,17 @@ const CANDIDATES: usize = 8192;
 const ROUNDS: usize = 5;
 
 /// Picks about `count` points.
-pub(super) fn spread(geometry: &Geometry, eyes: &Eyes, metric: Metric, count: usize) -> Vec<(Place, Spot)> {
+pub(super) fn spread(
+    geometry: &Geometry,
+    eyes: &Eyes,
+    metric: Metric,
+    count: usize,
+) -> Vec<(Place, Spot)> {
     let stride = (eyes.covered as usize).div_ceil(CANDIDATES).max(1);
-    let all = eyes.tiles.iter().flat_map(|tile| tile.eyes.iter().flatten());
+    let all = eyes
+        .tiles
+        .iter()
+        .flat_map(|tile| tile.eyes.iter().flatten());
     let candidates: Vec<&Eye> = all.step_by(stride).collect();
     if candidates.is_empty() {
         return Vec::new();
