@@ -14,14 +14,14 @@ mod instant_radiosity;
 mod path;
 
 pub use bidirectional::{BidirectionalLimits, Techniques};
-pub use field::{Field, FieldReport, SkyLobes, SkySun};
+pub use field::{Field, FieldReport};
 pub use instant_radiosity::{InstantRadiosity, InstantRadiosityReport};
 
 use crate::camera::{PixelFilter, View};
 use crate::film::Film;
 use crate::geometry::Geometry;
 use crate::job::Job;
-use crate::light::{Emission, Lights};
+use crate::light::{Emission, Lights, SkyLobes};
 use crate::sampling::{Sampler, SamplerKind};
 use glam::Vec2;
 use occlude_visibility::{Epoch, Visibility, VisibilityStats};

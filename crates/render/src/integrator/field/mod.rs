@@ -29,11 +29,11 @@ use super::{RayCounts, RenderReport, RenderSettings, StoppedBy, World};
 use crate::camera::View;
 use crate::film::Film;
 use crate::job::Job;
-use crate::light::{Environment, Lights};
+use crate::light::{Lights, SkyFit, SkyLobes, SkySun};
 use eyes::{Eyes, TILE};
 use glam::{Vec2, Vec3};
 use occlude_visibility::VisibilityStats;
-use occlude_visibility::field::{MapSampling, Metric, SphericalGaussian};
+use occlude_visibility::field::{MapSampling, Metric};
 use points::{Changes, Points, Reach, Round};
 use rayon::prelude::*;
 use shade::{Counts, Scratch, Shaded, Shading};
@@ -113,78 +113,12 @@ pub struct FieldReport {
     pub covered: u64,
 }
 
-/// A sky as spherical Gaussians.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct SkyLobes {
-    /// Their sum is the radiance.
-    pub lobes: Vec<SphericalGaussian>,
-    /// Sources narrower than maps resolve.
-    pub suns: Vec<SkySun>,
-}
-
-/// A source of the sky that is narrower than fields of visibility resolve.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SkySun {
-    /// Unit vector towards its centre.
-    pub towards: Vec3,
-    /// Irradiance on a facing surface, W/m^2.
-    pub irradiance: Vec3,
-    /// Radius of the uniform disk with the same spread, radians.
-    pub angular_radius: f32,
-}
-
-impl SkyLobes {
-    /// Lobes in fixed directions, their amplitudes fitted by non-negative least squares.
-    fn coarse(environment: &Environment) -> Self {
-        const LOBES: u32 = 40;
-        const PLACES: u32 = 4096;
-        const ROUNDS: usize = 60;
-        let spiral = |i: u32, n: u32| {
-            let y = 1.0 - 2.0 * (i as f32 + 0.5) / n as f32;
-            let r = (1.0 - y * y).sqrt();
-            let (sin, cos) = (i as f32 * 2.399_963_2).sin_cos();
-            Vec3::new(r * cos, y, r * sin)
-        };
-        let mut lobes: Vec<SphericalGaussian> = (0..LOBES)
-            .map(|i| SphericalGaussian {
-                axis: spiral(i, LOBES),
-                sharpness: 14.0,
-                amplitude: environment.integral() / (4.0 * std::f32::consts::PI),
-            })
-            .collect();
-        let places: Vec<Vec3> = (0..PLACES).map(|i| spiral(i, PLACES)).collect();
-        let truth: Vec<Vec3> = places.iter().map(|w| environment.radiance(*w)).collect();
-        let unit =
-            |lobe: &SphericalGaussian, w: Vec3| (lobe.sharpness * (lobe.axis.dot(w) - 1.0)).exp();
-        for _ in 0..ROUNDS {
-            let found: Vec<Vec3> = (places.iter())
-                .map(|w| lobes.iter().map(|lobe| lobe.at(*w)).sum())
-                .collect();
-            for lobe in &mut lobes {
-                let (mut wanted, mut had) = (Vec3::ZERO, Vec3::splat(1e-20));
-                for ((w, truth), found) in places.iter().zip(&truth).zip(&found) {
-                    let value = unit(lobe, *w);
-                    wanted += *truth * value;
-                    had += *found * value;
-                }
-                lobe.amplitude *= wanted / had;
-            }
-        }
-        Self {
-            lobes,
-            suns: Vec::new(),
-        }
-    }
-}
-
-impl SkySun {
-    /// A direction inside of the disk, uniform in `u` and `v`.
-    fn towards_point(&self, u: f32, v: f32) -> Vec3 {
-        let (s, t) = self.towards.any_orthonormal_pair();
-        let (sin, cos) = (v * std::f32::consts::TAU).sin_cos();
-        let r = self.angular_radius * u.sqrt();
-        (self.towards + (s * cos + t * sin) * r).normalize()
-    }
+/// A direction inside of a sun's disk, uniform in `u` and `v`.
+fn towards_sun(sun: &SkySun, u: f32, v: f32) -> Vec3 {
+    let (s, t) = sun.towards.any_orthonormal_pair();
+    let (sin, cos) = (v * std::f32::consts::TAU).sin_cos();
+    let r = sun.angular_radius * u.sqrt();
+    (sun.towards + (s * cos + t * sin) * r).normalize()
 }
 
 /// Frames one after the other, and the points that live through them.
@@ -219,7 +153,8 @@ impl Fields {
         job: &Job,
     ) -> RenderReport {
         if self.lobes.is_none() {
-            let lobes = world.lights.sky().map(SkyLobes::coarse);
+            let lobes =
+                (world.lights.sky()).map(|environment| environment.lobes(&SkyFit::default()));
             self.set_sky(lobes.unwrap_or_default());
         }
         let mut report = FieldReport::default();

@@ -441,7 +441,7 @@ impl Shading<'_, '_> {
             let [u, v, pick, _] = sampler.next();
             let share = 1.0 / rays_each as f32;
             for sun in &self.sky.suns {
-                ask(sun.towards_point(u, v), None, sun.irradiance * share);
+                ask(super::towards_sun(sun, u, v), None, sun.irradiance * share);
             }
             let Some(areas) = self.areas else { continue };
             let found = areas.sample(

@@ -1,7 +1,7 @@
 //! The sky as lobes, in the order and layout that shading wants.
 
-use super::SkyLobes;
 use super::math::{exp, wide};
+use crate::light::{SkyLobes, SkySun};
 use glam::Vec3;
 use occlude_visibility::field::{Hemisphere, SphericalGaussian, VisibilityMap, VisibleShare};
 
@@ -24,7 +24,7 @@ pub(super) struct Sky {
     width: Vec<f32>,
     /// Lobes that are broad: a number of whole vectors; and all.
     broad: usize,
-    pub(super) suns: Vec<super::SkySun>,
+    pub(super) suns: Vec<SkySun>,
 }
 
 /// 0 far below 0, `m` far above, a parabola in between.

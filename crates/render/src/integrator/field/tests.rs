@@ -11,6 +11,7 @@ use occlude_bvh::BuildOptions;
 use occlude_image::Picture;
 use occlude_scene::{Instance, Material, Mesh, Node, Pose, Scene};
 use occlude_visibility::Exact;
+use occlude_visibility::field::SphericalGaussian;
 
 fn lobe(axis: [f32; 3], sharpness: f32, amplitude: [f32; 3]) -> SphericalGaussian {
     SphericalGaussian {
