@@ -1,10 +1,10 @@
 //! Light that arrives at surface points, by path tracing: the oracle for bundles, and how direct light is always found.
 //!
-//! A sample estimates the irradiance at one point, on the front side of its triangle. At every vertex of its path one light is
+//! A sample estimates the irradiance at one point, on one side of its triangle. At every vertex of its path one light is
 //! sampled and one cosine-distributed direction; what both could find is weighted by the power heuristic (Veach 1997,
 //! section 9.2). Materials must be Lambert ([`occlude_scene::Material::diffuse_only`]).
 //!
-//! A sample is a pure function of (seed, texel, sample number): batches, threads and shards do not show.
+//! A sample is a pure function of (seed, side, sample number): batches, threads and shards do not show.
 //!
 //! The wrong tool for many indirect samples of many texels in a scene that rasterizes quickly: there bundles find the
 //! same light with less work.
@@ -48,20 +48,22 @@ pub struct PathSettings {
 pub struct SurfaceSample {
     /// The point; `t` does not matter.
     pub point: Hit,
-    /// Number of the texel that it stands for.
-    pub texel: u32,
-    /// Number of the sample in the texel.
+    /// Number of the side that it stands for.
+    pub side: u32,
+    /// Number of the sample of that side.
     pub number: u32,
+    /// The light on the triangle's back is wanted.
+    pub back: bool,
 }
 
 /// The random numbers of a sample; its first set places the point in the texel ([`placement`]), the others belong to the path.
-fn sampler(seed: u64, texel: u32, number: u32) -> Sampler {
-    Sampler::new(SamplerKind::Sobol, seed, [texel, 0x6261_6b65], number)
+fn sampler(seed: u64, side: u32, number: u32) -> Sampler {
+    Sampler::new(SamplerKind::Sobol, seed, [side, 0x6261_6b65], number)
 }
 
-/// Where in its texel sample `number` lies, in `[0, 1)^2`.
-pub fn placement(seed: u64, texel: u32, number: u32) -> Vec2 {
-    let [u, v, ..] = sampler(seed, texel, number).next();
+/// Where in its texel sample `number` of a side lies, in `[0, 1)^2`.
+pub fn placement(seed: u64, side: u32, number: u32) -> Vec2 {
+    let [u, v, ..] = sampler(seed, side, number).next();
     Vec2::new(u, v)
 }
 
@@ -125,8 +127,8 @@ fn power_heuristic(a: f32, b: f32) -> f32 {
     1.0 / (1.0 + ratio * ratio)
 }
 
-/// A point as its front side sees it.
-pub fn front_surface<'a>(geometry: &Geometry<'a>, point: Hit) -> Option<Surface<'a>> {
+/// A point as somebody sees it who looks straight at its front, or at its back. `None` if the triangle has no area.
+pub fn surface_at<'a>(geometry: &Geometry<'a>, point: Hit, back: bool) -> Option<Surface<'a>> {
     let triangle = WorldTriangle::new(
         geometry.scene,
         geometry.pose,
@@ -134,7 +136,7 @@ pub fn front_surface<'a>(geometry: &Geometry<'a>, point: Hit) -> Option<Surface<
         point.primitive,
     );
     let front = triangle.front_cross().try_normalize()?;
-    Surface::new(geometry, point, front)
+    Surface::new(geometry, point, if back { -front } else { front })
 }
 
 impl Gatherer {
@@ -155,10 +157,10 @@ impl Gatherer {
         self.paths.clear();
         self.start_shadows();
         for (number, sample) in samples.iter().enumerate() {
-            let Some(surface) = front_surface(world.geometry, sample.point) else {
+            let Some(surface) = surface_at(world.geometry, sample.point, sample.back) else {
                 continue;
             };
-            let sampler = sampler(settings.seed, sample.texel, sample.number);
+            let sampler = sampler(settings.seed, sample.side, sample.number);
             // A perfectly reflecting Lambert surface sends out irradiance / pi.
             let start = Vertex {
                 surface: &surface,

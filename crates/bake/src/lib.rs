@@ -3,10 +3,19 @@
 //! * [`atlas`] gives every triangle a place of its own on a page of texels;
 //! * [`texel`] says which part of which surfaces a texel is;
 //! * [`gather`] finds the light at points by path tracing;
-//! * [`bundle`] gathers light along many directions, for all texels at once, into [`sums`].
+//! * [`bundle`] gathers light along many directions, for all texels at once, into [`sums`];
+//! * [`rounds`] bakes: round by round into a [`state`] that can be stopped, written, merged and gone on with;
+//! * [`plan`] says beforehand what that will take;
+//! * [`baked`] shows surfaces in the light of their maps.
 
 pub mod atlas;
+pub mod baked;
 pub mod bundle;
 pub mod gather;
+pub mod noise;
+pub mod plan;
+pub mod rounds;
+pub mod sky;
+pub mod state;
 pub mod sums;
 pub mod texel;

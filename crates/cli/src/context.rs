@@ -99,6 +99,11 @@ impl Context {
         result
     }
 
+    /// When the program was started.
+    pub fn began(&self) -> Instant {
+        self.began
+    }
+
     /// Prints a warning.
     pub fn warn(&self, text: impl std::fmt::Display) {
         self.progress.suspend(|| warn(text));

@@ -3,6 +3,7 @@
 //! Results go to stdout, everything else to stderr. Exit codes: 0 done, 1 the work failed or ended incomplete, 2 bad usage
 //! or bad input, 130 cancelled by Ctrl-C or SIGTERM.
 
+mod bake;
 mod compare;
 mod context;
 mod error;
@@ -47,6 +48,10 @@ struct Cli {
 enum Command {
     /// Render a scene to a picture (EXR, PNG, HDR)
     Render(Box<render::RenderArgs>),
+    /// Bake the light that falls on surfaces into light maps beside a copy of the scene
+    Bake(Box<bake::BakeArgs>),
+    /// Tell what a bake would take: texels, memory, time
+    Plan(Box<bake::PlanArgs>),
     /// Tell what is in a scene, with warnings
     Inspect(inspect::InspectArgs),
     /// Measure how two pictures differ
@@ -78,6 +83,8 @@ fn main() -> ExitCode {
 fn run(cli: Cli, began: Instant) -> Result<(), CliError> {
     let name = match &cli.command {
         Command::Render(_) => "render",
+        Command::Bake(_) => "bake",
+        Command::Plan(_) => "plan",
         Command::Inspect(_) => "inspect",
         Command::Compare(_) => "compare",
         Command::Scene(_) => "scene",
@@ -86,12 +93,23 @@ fn run(cli: Cli, began: Instant) -> Result<(), CliError> {
     let mut context = Context::new(name, cli.common, began)?;
     let result = match cli.command {
         Command::Render(args) => render::run(*args, &mut context),
+        Command::Bake(args) => bake::run(&args, &mut context),
+        Command::Plan(args) => bake::plan(&args, &mut context),
         Command::Inspect(args) => inspect::run(&args, &mut context),
         Command::Compare(args) => compare::run(&args, &mut context),
         Command::Scene(args) => scene::run(&args, &mut context),
         Command::Merge(args) => merge::run(&args, &mut context),
     };
     context.finish(result)
+}
+
+/// A command line of `occlude bake`, as parts remember it.
+fn bake_command(line: Vec<String>) -> Option<(bake::BakeArgs, Common)> {
+    let cli = Cli::try_parse_from(line).ok()?;
+    match cli.command {
+        Command::Bake(args) => Some((*args, cli.common)),
+        _ => None,
+    }
 }
 
 /// Help and version go to stdout; anything else becomes one line.
@@ -129,7 +147,10 @@ fn usage_line(text: &str) -> String {
     let command = std::env::args().nth(1).filter(|arg| !arg.starts_with('-'));
     let help = match command {
         Some(command)
-            if ["render", "inspect", "compare", "scene", "merge"].contains(&command.as_str()) =>
+            if [
+                "render", "bake", "plan", "inspect", "compare", "scene", "merge",
+            ]
+            .contains(&command.as_str()) =>
         {
             format!("occlude {command} --help")
         }

@@ -1,5 +1,6 @@
 //! `occlude merge`: shards become the result of the one-machine run.
 
+use crate::bake;
 use crate::context::Context;
 use crate::error::CliError;
 use crate::output;
@@ -23,13 +24,23 @@ pub struct MergeArgs {
     pub parts: Vec<PathBuf>,
 
     /// Picture to write: .exr, .png or .hdr; may be given several times. Layers and look are those that the parts were
-    /// rendered with
+    /// rendered with. Of a bake: the folder, or before the last round the file for --after
     #[arg(short, long = "output", value_name = "FILE", required = true)]
     pub output: Vec<PathBuf>,
 }
 
 /// Runs `occlude merge`.
 pub fn run(args: &MergeArgs, context: &mut Context) -> Result<(), CliError> {
+    if let Some(line) = bake::command_line_of(&args.parts[0]) {
+        let [output] = &args.output[..] else {
+            return Err(CliError::input(
+                "parts of a bake become one folder or file",
+                "--output",
+                "give exactly one",
+            ));
+        };
+        return bake::merge_parts(line, &args.parts, output, context);
+    }
     for path in &args.output {
         output::check_picture(path)?;
     }

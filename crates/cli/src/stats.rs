@@ -2,6 +2,9 @@
 
 use crate::error::CliError;
 use crate::output;
+use occlude_bake::atlas::Atlas;
+use occlude_bake::rounds::Report;
+use occlude_bake::state::State;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -31,6 +34,9 @@ pub struct Stats {
     /// What rendering did.
     #[serde(flatten, skip_serializing_if = "Option::is_none")]
     pub work: Option<Work>,
+    /// What baking did.
+    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    pub bake: Option<Bake>,
     /// With `--frames`: one by one, those of this run.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub frames: Vec<Frame>,
@@ -143,6 +149,129 @@ impl Field {
     }
 }
 
+/// What baking did.
+#[derive(Debug, Clone, Serialize)]
+pub struct Bake {
+    /// Texels of all pages, padding included.
+    pub texels: u64,
+    /// Directions of the last round, or paths a texel.
+    pub directions: u32,
+    /// Pages.
+    pub pages: usize,
+    /// `samples`, `time`, `noise` or `cancel`.
+    pub stopped_by: &'static str,
+    /// Estimated mean relative standard error of the last round.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub noise: Option<f64>,
+    /// Rays by kind; what bundles find is not among them.
+    pub rays: Rays,
+    /// What bundles did.
+    pub bundles: Bundles,
+    /// Wall-clock seconds of a direction of bundles, or of a path of every texel.
+    pub seconds_per_direction: f64,
+    /// Wall-clock seconds by round.
+    pub rounds: Vec<Round>,
+}
+
+/// One round of a bake.
+#[derive(Debug, Clone, Serialize)]
+pub struct Round {
+    /// What it gathered.
+    pub name: &'static str,
+    /// Wall-clock seconds.
+    pub seconds: f64,
+}
+
+/// What bundles did.
+#[derive(Debug, Clone, Default, Serialize)]
+pub struct Bundles {
+    /// Directions of all rounds.
+    pub directions: u64,
+    /// Surfaces on lines.
+    pub fragments: u64,
+    /// Segments whose ends look at each other.
+    pub pairs: u64,
+    /// Values that baked fronts got from fronts.
+    pub exchanges: u64,
+    /// Tiles.
+    pub tiles: u64,
+    /// Tiles that did not fit and were split and done again.
+    pub overflow_detected: u64,
+    /// Tiles that lost light in the result: always 0.
+    pub overflow_left: u64,
+    /// Fragments that found no place in a tile that was done again.
+    pub nodes_dropped: u64,
+    /// Tiles that were split.
+    pub splits: u64,
+    /// Split tiles that would have fitted.
+    pub false_alarms: u64,
+    /// Share of the time that went into tiles that were done again.
+    pub redo_share: f64,
+    /// Wall-clock seconds by phase.
+    pub seconds: BundleSeconds,
+}
+
+/// Wall-clock seconds of bundles by phase.
+#[derive(Debug, Clone, Copy, Default, Serialize)]
+pub struct BundleSeconds {
+    /// Maps of importance and of fragments.
+    pub analysis: f64,
+    /// Their mipmaps.
+    pub mipmaps: f64,
+    /// Cutting tiles.
+    pub tiling: f64,
+    /// Rasterizing.
+    pub creation: f64,
+    /// Sorting, exchange and sums.
+    pub update: f64,
+}
+
+impl Bake {
+    /// Of a run that has ended by `stopped_by`.
+    pub fn new(atlas: &Atlas, report: &Report, state: &State, stopped_by: &'static str) -> Self {
+        let b = &report.bundles;
+        let last = report.seconds.last().map_or(0.0, |(_, seconds)| *seconds);
+        Self {
+            texels: u64::from(atlas.texels()),
+            directions: state.min_done(),
+            pages: atlas.pages.len(),
+            stopped_by,
+            noise: report.noise,
+            rays: Rays {
+                primary: 0,
+                secondary: report.secondary,
+                shadow: report.shadow,
+                fill: 0,
+            },
+            bundles: Bundles {
+                directions: b.directions,
+                fragments: b.fragments,
+                pairs: b.pairs,
+                exchanges: b.exchanges,
+                tiles: b.tiles,
+                seconds: BundleSeconds {
+                    analysis: b.seconds.analysis,
+                    mipmaps: b.seconds.mipmaps,
+                    tiling: b.seconds.tiling,
+                    creation: b.seconds.creation,
+                    update: b.seconds.update,
+                },
+                ..Bundles::default()
+            },
+            seconds_per_direction: if b.directions > 0 {
+                b.total_seconds() / b.directions as f64
+            } else {
+                last / f64::from(state.min_done().max(1))
+            },
+            rounds: report
+                .seconds
+                .iter()
+                .map(|&(name, seconds)| Round { name, seconds })
+                .collect(),
+        }
+    }
+}
+
 /// One picture of a sequence.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct Frame {
@@ -228,6 +357,7 @@ impl Stats {
             seconds: Seconds::default(),
             scene_counts: None,
             work: None,
+            bake: None,
             frames: Vec::new(),
             memory: Memory {
                 peak_bytes: 0,
@@ -247,11 +377,29 @@ impl Stats {
     }
 }
 
+/// Resident size of this process now, in bytes; the largest so far where the system does not tell.
+#[cfg(target_os = "linux")]
+pub fn resident_memory() -> u64 {
+    status_bytes("VmRSS:")
+}
+
+/// Resident size of this process now, in bytes; the largest so far where the system does not tell.
+#[cfg(not(target_os = "linux"))]
+pub fn resident_memory() -> u64 {
+    peak_memory()
+}
+
 /// Largest resident size of this process so far, in bytes; 0 where the system does not tell.
 #[cfg(target_os = "linux")]
 pub fn peak_memory() -> u64 {
+    status_bytes("VmHWM:")
+}
+
+/// A line of the process's status.
+#[cfg(target_os = "linux")]
+fn status_bytes(key: &str) -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+    let line = status.lines().find_map(|line| line.strip_prefix(key));
     let kib = line.and_then(|rest| rest.split_whitespace().next()?.parse::<u64>().ok());
     kib.unwrap_or(0) * 1024
 }

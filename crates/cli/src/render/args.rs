@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// Samples a pixel when nothing else says when to stop.
-const DEFAULT_SAMPLES: u32 = 64;
+pub const DEFAULT_SAMPLES: u32 = 64;
 
 /// Vertical field of view, degrees, of cameras that the user describes.
 const DEFAULT_FOV: f32 = 40.0;
@@ -132,7 +132,7 @@ pub struct RenderArgs {
     #[command(flatten)]
     pub sky: SkyArgs,
 
-    /// path: all light paths; bidirectional: the same from both ends, for caustics and light that comes by detours; direct: light that comes straight from lights; instant-radiosity: many virtual lights, no noise in diffuse rooms; field: direct light of a sky without noise, from visibility at few points; ao: ambient occlusion, white surfaces in an even sky
+    /// path: all light paths; bidirectional: the same from both ends, for caustics and light that comes by detours; direct: light that comes straight from lights; instant-radiosity: many virtual lights, no noise in diffuse rooms; field: direct light of a sky without noise, from visibility at few points; ao: ambient occlusion, white surfaces in an even sky; baked: surfaces in the light maps that occlude bake has written beside the scene
     #[arg(long, value_enum, default_value_t = Integrator::Path, help_heading = "Work")]
     pub integrator: Integrator,
 
@@ -233,6 +233,13 @@ impl RenderArgs {
                 "not built in yet",
                 "--denoise",
                 "render more samples, or denoise the EXR (with --aov albedo,normal) in another program",
+            ));
+        }
+        if self.integrator == Integrator::Baked && (self.is_sequence() || self.shard.is_some()) {
+            return Err(CliError::input(
+                "light maps are shown in single pictures",
+                "--integrator",
+                "leave out --frames, --camera-path and --shard",
             ));
         }
         if self.regularize && self.integrator == Integrator::Bidirectional {
@@ -411,6 +418,8 @@ pub enum Integrator {
     InstantRadiosity,
     /// Direct light by fields of visibility
     Field,
+    /// Light maps that lie beside the scene
+    Baked,
 }
 
 /// Reconstruction filters.

@@ -1,6 +1,7 @@
 //! `occlude render`: a scene becomes a picture.
 
 mod args;
+mod baked;
 mod camera_path;
 mod field;
 mod sequence;
@@ -53,6 +54,11 @@ pub fn run(mut args: RenderArgs, context: &mut Context) -> Result<(), CliError> 
     let mut counts = counts(&scene);
     counts.lights = lights.len() as u64;
     context.stats.scene_counts = Some(counts);
+    if args.integrator == Integrator::Baked {
+        let filter = settings(&args, context.common.seed).filter;
+        let look = finish(&args, &scene, context.common.seed).look;
+        return baked::run(&args, context, &geometry, &lights, &view, filter, look);
+    }
     check_light(&args, &scene, &lights)?;
     let world = World {
         geometry: &geometry,
@@ -121,7 +127,11 @@ fn quantized(
     pose: &Pose,
 ) -> Result<Quantized, CliError> {
     let asks = match args.integrator {
-        Integrator::Path | Integrator::Direct | Integrator::Ao | Integrator::Field => Asks::Single,
+        Integrator::Path
+        | Integrator::Direct
+        | Integrator::Ao
+        | Integrator::Field
+        | Integrator::Baked => Asks::Single,
         Integrator::Bidirectional => Asks::Pairs,
         Integrator::InstantRadiosity => Asks::Many,
     };
@@ -300,7 +310,7 @@ fn settings(args: &RenderArgs, seed: u64) -> RenderSettings {
             Integrator::Bidirectional => {
                 integrator::Integrator::Bidirectional(BidirectionalLimits::new(args.max_depth))
             }
-            Integrator::Direct => {
+            Integrator::Direct | Integrator::Baked => {
                 integrator::Integrator::Path(PathLimits::new(args.max_depth.min(1)))
             }
             Integrator::InstantRadiosity => {

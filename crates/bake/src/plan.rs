@@ -1,0 +1,215 @@
+//! What a bake will take, before it begins: bytes and seconds; and which way of gathering is the faster one.
+//!
+//! Bytes are counted from the sizes of everything that grows with the work. Seconds come from doing a little of each round and
+//! extrapolating, so they are those of the machine at hand. The choice between bundles and paths must not depend on a clock (the same
+//! command must give the same bytes), so it is made from counts: rays of sample paths, triangles and fragments of a sample
+//! direction, each at the price that it had on the machine where the prices were measured.
+
+use crate::bundle::{self, Directions, Radiance};
+use crate::gather::Gatherer;
+use crate::rounds::{Bake, Round, RoundKind};
+use crate::sums::Sums;
+use glam::Vec3;
+use occlude_render::job::Job;
+use rayon::prelude::*;
+use std::time::Instant;
+
+/// Bytes that a bake will hold beside the scene, its hierarchy and its atlas.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Memory {
+    /// While it gathers, without the buffers of bundles.
+    pub gathering: u64,
+    /// Buffers that bundles need at least.
+    pub least_buffers: u64,
+    /// Buffers of bundles as set.
+    pub buffers: u64,
+    /// While light maps are finished and written.
+    pub writing: u64,
+}
+
+impl Memory {
+    /// The least with which the work can be done.
+    pub fn floor(&self) -> u64 {
+        (self.gathering + self.least_buffers).max(self.writing)
+    }
+
+    /// With buffers as they are set.
+    pub fn peak(&self) -> u64 {
+        (self.gathering + self.buffers).max(self.writing)
+    }
+}
+
+/// What a little of the work took.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Estimate {
+    /// Seconds of every round, on this machine now.
+    pub rounds: Vec<f64>,
+    /// The same work at the prices of the reference machine, from counts alone, seconds.
+    pub priced: f64,
+    /// Rays of all rounds.
+    pub rays: f64,
+}
+
+impl Estimate {
+    /// Seconds of gathering.
+    pub fn seconds(&self) -> f64 {
+        self.rounds.iter().sum()
+    }
+}
+
+/// Samples that are tried.
+const TRIED: usize = 1 << 15;
+
+/// Prices on the reference machine, nanoseconds of one of two busy cores: a scattered ray with its shading in a scene of one
+/// triangle, and what each doubling of the triangles adds.
+const RAY: f64 = 150.0;
+const RAY_PER_DOUBLING: f64 = 25.0;
+/// A triangle of a direction, and a fragment with its exchange.
+const TRIANGLE: f64 = 16.0;
+const FRAGMENT: f64 = 14.0;
+
+impl Bake<'_> {
+    /// What will be held. Counts capacity that is sure to be used; `sky` and `lights` are small.
+    pub fn memory(&self) -> Memory {
+        let sides = u64::from(self.sides());
+        let map = size_of::<Vec3>() as u64 * sides;
+        let units = (0..self.rounds().len() as u32).map(|round| self.units_of(round));
+        let state = Sums::bytes(self.sides())
+            + 4 * u64::from(units.max().unwrap_or(0))
+            + crate::noise::Noise::bytes(self.sides());
+        let has = |kind| self.rounds().iter().any(|round| round.kind == kind);
+        let maps = if has(RoundKind::Reflected) || has(RoundKind::Sky) {
+            2 * map
+        } else {
+            0
+        };
+        let transport = match self.subject.triangles {
+            Some(triangles) => {
+                Radiance::bytes(self.sides()) + 6 * u64::from(triangles.sides().fronts_count())
+            }
+            None => 0,
+        };
+        let threads = rayon::current_num_threads() as u64;
+        let largest = self
+            .subject
+            .texels
+            .atlas
+            .pages
+            .iter()
+            .map(|page| page.texels());
+        let largest = u64::from(largest.max().unwrap_or(0));
+        Memory {
+            gathering: state + maps + transport + threads * WORKER_BYTES,
+            least_buffers: 0,
+            buffers: 0,
+            writing: state + maps / 2 + largest * WRITING_BYTES_PER_TEXEL,
+        }
+    }
+
+    /// Does a little of every round.
+    pub fn estimate(&self, job: &Job) -> Estimate {
+        let mut estimate = Estimate::default();
+        let triangles: usize = {
+            let geometry = self.subject.world.geometry;
+            let meshes = geometry
+                .pose
+                .instances
+                .iter()
+                .map(|posed| posed.mesh as usize);
+            meshes
+                .map(|mesh| geometry.scene.meshes[mesh].triangles.len())
+                .sum()
+        };
+        let ray = RAY + RAY_PER_DOUBLING * (triangles.max(1) as f64).log2();
+        let mut bundle: Option<(f64, f64)> = None;
+        for &round in self.rounds() {
+            let (seconds, priced, rays) = match round.kind {
+                RoundKind::Paths | RoundKind::Direct => {
+                    let (seconds, rays) = self.try_samples(round);
+                    (seconds, rays * ray * 0.5e-9, rays)
+                }
+                RoundKind::Sky | RoundKind::Reflected => {
+                    let (seconds, fragments) = *bundle.get_or_insert_with(|| self.try_bundles(job));
+                    let all = f64::from(round.total);
+                    let priced = triangles as f64 * TRIANGLE + fragments * FRAGMENT;
+                    (seconds * all, priced * all * 0.5e-9, 0.0)
+                }
+            };
+            estimate.rounds.push(seconds);
+            estimate.priced += priced;
+            estimate.rays += rays;
+        }
+        estimate
+    }
+
+    /// Seconds and rays of a round of samples.
+    fn try_samples(&self, round: Round) -> (f64, f64) {
+        let settings = self.path_settings(round);
+        let all: u64 = self.patches.iter().map(|patch| self.texels_of(patch)).sum();
+        // Few samples of many patches: light differs from place to place.
+        let wanted = TRIED as u64 / u64::from(round.total.min(2));
+        let step = (all / wanted.max(1)).clamp(1, self.patches.len().max(1) as u64) as usize;
+        let chosen: Vec<_> = self.patches.iter().step_by(step).collect();
+        let tried: u64 = chosen.iter().map(|patch| self.texels_of(patch)).sum();
+        let numbers = 0..round.total.min(2);
+        let run = |numbers: &std::ops::Range<u32>| -> u64 {
+            chosen
+                .par_iter()
+                .map(|patch| {
+                    let mut gatherer = Gatherer::default();
+                    let mut samples = Vec::new();
+                    self.place(patch, numbers, &settings, &mut samples);
+                    let mut irradiance = vec![Vec3::ZERO; samples.len()];
+                    let batches = samples.chunks(2048).zip(irradiance.chunks_mut(2048));
+                    for (samples, irradiance) in batches {
+                        gatherer.gather(&self.subject.world, &settings, samples, irradiance);
+                    }
+                    gatherer.secondary + gatherer.shadow
+                })
+                .sum()
+        };
+        let began = Instant::now();
+        let rays = run(&numbers);
+        let scale = all as f64 / tried.max(1) as f64 * f64::from(round.total)
+            / f64::from(numbers.end.max(1));
+        (began.elapsed().as_secs_f64() * scale, rays as f64 * scale)
+    }
+
+    /// Seconds and fragments of one direction.
+    fn try_bundles(&self, job: &Job) -> (f64, f64) {
+        let Some(triangles) = self.subject.triangles else {
+            return (0.0, 0.0);
+        };
+        let radiance = Radiance::new(self.sides(), 1.0, |_| Vec3::ONE);
+        let sums = Sums::new(self.sides(), bundle::unit(1.0, 8));
+        let directions = Directions {
+            seed: self.settings.seed,
+            round: u32::MAX,
+        };
+        // The first one fills buffers.
+        let mut stats = bundle::Stats::default();
+        let mut seconds = 0.0;
+        for range in [0..1, 1..3] {
+            let began = Instant::now();
+            stats = bundle::gather(
+                triangles,
+                &radiance,
+                None,
+                &directions,
+                range,
+                &self.settings.bundles,
+                job,
+                &sums,
+            );
+            seconds = began.elapsed().as_secs_f64();
+        }
+        let done = (stats.directions as f64).max(1.0);
+        (seconds / done, stats.fragments as f64 / done)
+    }
+}
+
+/// Batches of samples and their rays, a thread.
+const WORKER_BYTES: u64 = 8 << 20;
+
+/// Copies of a page while it is finished and encoded.
+const WRITING_BYTES_PER_TEXEL: u64 = 80;

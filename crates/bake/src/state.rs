@@ -1,0 +1,210 @@
+//! What has been gathered so far: as a checkpoint to go on from, as a part of a round to be merged, or as the rounds that a
+//! part builds on.
+//!
+//! A file is a header (JSON with its length in front) and arrays whose lengths follow from the header and must agree with
+//! the work at hand: nothing is allocated because a file claims a size. All numbers are little-endian.
+
+use crate::sums::{Sums, SumsError, Unit};
+use glam::Vec3;
+use serde::{Deserialize, Serialize};
+use std::io::{Read, Write};
+use std::ops::Range;
+
+/// First bytes of a file; the last is the version of the layout.
+const MAGIC: [u8; 8] = *b"occbake\x01";
+
+/// Headers are small; more is no header.
+const MAX_HEADER: u64 = 1 << 20;
+
+/// Which work a state belongs to, and which part of it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Header {
+    /// Fingerprint of scene, atlas, lights and every setting that changes the light maps.
+    pub fingerprint: u64,
+    /// Sides that sums are kept for.
+    pub sides: u32,
+    /// The round that is being gathered; rounds before it are done.
+    pub round: u32,
+    /// Rounds of the work.
+    pub rounds: u32,
+    /// Items of this round: samples or directions.
+    pub total: u32,
+    /// The items that this part gathers: all of `0..total` without shards.
+    pub items: Range<u32>,
+    /// Entries of [`State::done`].
+    pub units: u32,
+    /// There is light of a first round.
+    pub has_direct: bool,
+    /// There is a map of the round before.
+    pub has_previous: bool,
+    /// What sums count, radiance and weight.
+    pub unit: [f64; 2],
+    /// What the writer wants to know again: the command's options, as JSON.
+    pub notes: String,
+}
+
+/// Why a file is no state of this work.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum StateError {
+    /// Reading failed, or the file ends too early.
+    #[error(transparent)]
+    Io(#[from] std::io::Error),
+    /// Not a file of this kind, or of another version.
+    #[error("not a part or checkpoint of a bake by this version of the program")]
+    Kind,
+    /// Of another work.
+    #[error("of another work: scene, settings, memory limit, seed or program version differ")]
+    OtherWork,
+}
+
+impl From<SumsError> for StateError {
+    fn from(error: SumsError) -> Self {
+        match error {
+            SumsError::Io(error) => Self::Io(error),
+            _ => Self::OtherWork,
+        }
+    }
+}
+
+/// What has been gathered so far.
+#[derive(Debug)]
+pub struct State {
+    /// Whose it is.
+    pub header: Header,
+    /// Irradiance by side that the first round has found, W/m²; empty before its end.
+    pub direct: Vec<Vec3>,
+    /// Irradiance by side of the round before, W/m²; empty in the first rounds.
+    pub previous: Vec<Vec3>,
+    /// Items of this part that are in the sums, by unit of work; counted from `header.items.start`.
+    pub done: Vec<u32>,
+    /// Sums of this round.
+    pub sums: Sums,
+    /// Of how the noise is measured: see [`crate::noise`].
+    pub noise: crate::noise::Noise,
+}
+
+/// Reads the header alone: enough to find out which work a file belongs to.
+pub fn read_header(source: &mut impl Read) -> Result<Header, StateError> {
+    let mut magic = [0; 8];
+    source
+        .read_exact(&mut magic)
+        .map_err(|_| StateError::Kind)?;
+    if magic != MAGIC {
+        return Err(StateError::Kind);
+    }
+    let mut word = [0; 8];
+    source.read_exact(&mut word)?;
+    let length = u64::from_le_bytes(word);
+    if length > MAX_HEADER {
+        return Err(StateError::Kind);
+    }
+    let mut text = vec![0; length as usize];
+    source.read_exact(&mut text)?;
+    serde_json::from_slice(&text).map_err(|_| StateError::Kind)
+}
+
+impl State {
+    /// Bytes of a state with all its arrays.
+    pub fn bytes(sides: u32, units: u32) -> u64 {
+        Sums::bytes(sides) + 2 * u64::from(sides) * size_of::<Vec3>() as u64 + 4 * u64::from(units)
+    }
+
+    /// Items of this part that are whole: in all units.
+    pub fn min_done(&self) -> u32 {
+        self.done.iter().copied().min().unwrap_or(0)
+    }
+
+    /// Whether all items of this part are in the sums.
+    pub fn is_complete(&self) -> bool {
+        self.min_done() as usize >= self.header.items.len()
+    }
+
+    /// Writes the state.
+    pub fn write(&self, out: &mut (impl Write + ?Sized)) -> std::io::Result<()> {
+        let header = Header {
+            has_direct: !self.direct.is_empty(),
+            has_previous: !self.previous.is_empty(),
+            units: self.done.len() as u32,
+            unit: [self.sums.unit().radiance, self.sums.unit().weight],
+            ..self.header.clone()
+        };
+        let text = serde_json::to_vec(&header)?;
+        out.write_all(&MAGIC)?;
+        out.write_all(&(text.len() as u64).to_le_bytes())?;
+        out.write_all(&text)?;
+        for map in [&self.direct, &self.previous] {
+            for chunk in map.chunks(CHUNK) {
+                let numbers = chunk.iter().flat_map(|v| v.to_array());
+                out.write_all(&numbers.flat_map(f32::to_le_bytes).collect::<Vec<u8>>())?;
+            }
+        }
+        let words = self.done.iter().flat_map(|n| n.to_le_bytes());
+        out.write_all(&words.collect::<Vec<u8>>())?;
+        self.noise.write(&mut *out)?;
+        self.sums.write(&mut &mut *out)
+    }
+
+    /// Reads a state of a work with this fingerprint and so many sides and units; what the header says must agree with that.
+    pub fn read(
+        source: &mut impl Read,
+        fingerprint: u64,
+        sides: u32,
+        units_of: impl Fn(u32) -> u32,
+    ) -> Result<Self, StateError> {
+        let header = read_header(source)?;
+        let sane = header.fingerprint == fingerprint
+            && header.sides == sides
+            && header.round < header.rounds.max(1)
+            && header.units == units_of(header.round)
+            && header.items.start <= header.items.end
+            && header.items.end <= header.total
+            && header
+                .unit
+                .iter()
+                .all(|unit| unit.is_finite() && *unit > 0.0);
+        if !sane {
+            return Err(StateError::OtherWork);
+        }
+        let direct = read_map(source, if header.has_direct { sides } else { 0 })?;
+        let previous = read_map(source, if header.has_previous { sides } else { 0 })?;
+        let mut words = vec![0; 4 * header.units as usize];
+        source.read_exact(&mut words)?;
+        let done: Vec<u32> = words
+            .chunks_exact(4)
+            .map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]))
+            .collect();
+        if done.iter().any(|&n| n as usize > header.items.len()) {
+            return Err(StateError::OtherWork);
+        }
+        let noise = crate::noise::Noise::read(source, sides)?;
+        let [radiance, weight] = header.unit;
+        let mut sums = Sums::new(sides, Unit { radiance, weight });
+        sums.read(source)?;
+        Ok(Self {
+            header,
+            direct,
+            previous,
+            done,
+            sums,
+            noise,
+        })
+    }
+}
+
+/// Values that are encoded together.
+const CHUNK: usize = 1 << 14;
+
+fn read_map(source: &mut impl Read, len: u32) -> Result<Vec<Vec3>, StateError> {
+    let mut map = Vec::with_capacity(len as usize);
+    let mut bytes = vec![0; CHUNK * 12];
+    while map.len() < len as usize {
+        let count = CHUNK.min(len as usize - map.len());
+        source.read_exact(&mut bytes[..count * 12])?;
+        map.extend(bytes[..count * 12].chunks_exact(12).map(|b| {
+            let channel = |i: usize| f32::from_le_bytes([b[i], b[i + 1], b[i + 2], b[i + 3]]);
+            Vec3::new(channel(0), channel(4), channel(8))
+        }));
+    }
+    Ok(map)
+}

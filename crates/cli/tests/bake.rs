@@ -1,0 +1,301 @@
+//! `occlude bake`, `plan` and the parts of a bake in `merge`, from outside: closed forms, same bytes, interruption, refusals.
+
+mod util;
+use occlude_image::{Limits, read};
+use std::f64::consts::PI;
+use std::path::Path;
+use std::time::Duration;
+use util::{Dir, finish};
+
+/// Names and bytes of the light maps and their description in an output folder.
+fn maps(dir: &Dir, folder: &str) -> Vec<(String, Vec<u8>)> {
+    let mut files: Vec<_> = std::fs::read_dir(dir.path(folder))
+        .unwrap_or_else(|error| panic!("{folder}: {error}"))
+        .map(|entry| entry.unwrap().path())
+        .map(|path| {
+            let name = path.file_name().unwrap().to_string_lossy().into_owned();
+            (name, std::fs::read(&path).unwrap())
+        })
+        .collect();
+    files.sort();
+    files
+}
+
+/// The lit values of a page, in no order.
+fn lit(path: &Path) -> Vec<f64> {
+    let page = read(path, &Limits::default()).unwrap().picture;
+    let values = page
+        .pixels
+        .iter()
+        .map(|p| f64::from(p[0] + p[1] + p[2]) / 3.0);
+    values.filter(|&v| v > 0.0).collect()
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+#[test]
+fn a_closed_room_has_the_irradiance_of_the_closed_form() {
+    let dir = Dir::new();
+    dir.must("scene furnace -o f.glb");
+    // Albedo and emission are one half: pi e (1 - a^(B+1)) / (1 - a).
+    for (gather, bounces) in [("path", 0), ("path", 2), ("bundles", 0), ("bundles", 2)] {
+        dir.must(&format!(
+            "bake f.glb -o out --gather {gather} --bounces {bounces} --directions 64 --texels-per-metre 40 --stats s.json"
+        ));
+        let values = lit(&dir.path("out/lightmap_000.exr"));
+        let expected = PI * 0.5 * (1.0 - 0.5f64.powi(bounces + 1)) / 0.5;
+        // Where the boxes stand it is dark: the median does not see that.
+        let got = median(values);
+        assert!(
+            (got / expected - 1.0).abs() < 5e-3,
+            "{gather}, {bounces} bounces: {got} instead of {expected}"
+        );
+        let stats = dir.json("s.json");
+        assert_eq!(stats["command"], "bake");
+        assert_eq!(stats["bundles"]["overflow_left"], 0);
+        assert_eq!(
+            stats["bundles"]["fragments"].as_u64() > Some(0),
+            gather == "bundles" && bounces > 0
+        );
+    }
+}
+
+#[test]
+fn a_plane_under_a_sun_reads_what_the_engine_wants() {
+    let dir = Dir::new();
+    let plane = r#"{"asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3", "min": [-1, 0, -1], "max": [1, 0, 1]},
+            {"bufferView": 1, "componentType": 5123, "count": 6, "type": "SCALAR"}],
+        "bufferViews": [{"buffer": 0, "byteLength": 48}, {"buffer": 0, "byteOffset": 48, "byteLength": 12}],
+        "buffers": [{"byteLength": 60, "uri": "plane.bin"}]}"#;
+    dir.write("plane.gltf", plane);
+    let mut bytes = Vec::new();
+    for corner in [
+        [-1.0_f32, 0.0, -1.0],
+        [1.0, 0.0, -1.0],
+        [1.0, 0.0, 1.0],
+        [-1.0, 0.0, 1.0],
+    ] {
+        corner.iter().for_each(|x| bytes.extend(x.to_le_bytes()));
+    }
+    for index in [0_u16, 2, 1, 0, 3, 2] {
+        bytes.extend(index.to_le_bytes());
+    }
+    std::fs::write(dir.path("plane.bin"), bytes).unwrap();
+    for (engine, expected) in [
+        ("three", 1.0),
+        ("bevy", 1.0 / PI),
+        ("godot", 1.0 / PI),
+        ("blender", 1.0 / PI),
+    ] {
+        dir.must(&format!(
+            "bake plane.gltf -o out --sun 0,90,1 --directions 16 --engine {engine}"
+        ));
+        let got = mean(&lit(&dir.path("out/lightmap_000.exr")));
+        assert!((got / expected - 1.0).abs() < 2e-3, "{engine}: {got}");
+        let manifest = dir.json("out/manifest.json");
+        let quantity = if engine == "three" {
+            "irradiance"
+        } else {
+            "irradiance/pi"
+        };
+        assert_eq!(manifest["quantity"], quantity);
+        assert_eq!(manifest["engine"], engine);
+    }
+}
+
+#[test]
+fn threads_shards_and_rounds_leave_no_trace() {
+    let dir = Dir::new();
+    dir.must("scene cornell -o c.glb");
+    for gather in ["path", "bundles"] {
+        let base = format!(
+            "bake c.glb --gather {gather} --directions 24 --bounces 2 --texels-per-metre 6 --seed 3"
+        );
+        dir.must(&format!("{base} -o one --threads 1"));
+        let whole = maps(&dir, "one");
+        dir.must(&format!("{base} -o two --threads 2"));
+        assert_eq!(whole, maps(&dir, "two"), "{gather}: threads");
+        let mut after = String::new();
+        let mut rounds = 0;
+        loop {
+            for part in 0..3 {
+                dir.must(&format!("{base} -o part{part} --shard {part}/3{after}"));
+            }
+            let told = dir.must("merge part2 part0 part1 -o merged").stdout;
+            let told: serde_json::Value = serde_json::from_str(&told).unwrap();
+            rounds += 1;
+            assert_eq!(told["rounds_done"], rounds);
+            if told["finished"] == true {
+                break;
+            }
+            std::fs::rename(dir.path("merged"), dir.path("before")).unwrap();
+            after = " --after before".to_owned();
+        }
+        assert_eq!(rounds, if gather == "path" { 1 } else { 3 });
+        assert_eq!(whole, maps(&dir, "merged"), "{gather}: shards");
+        std::fs::remove_dir_all(dir.path("merged")).unwrap();
+        dir.refuses("merge part0 part1 -o m", &["missing"]);
+        dir.refuses("merge part0 part1 part1 part2 -o m", &["twice"]);
+    }
+}
+
+#[test]
+fn killed_or_cancelled_and_resumed_it_ends_in_the_same_bytes() {
+    let dir = Dir::new();
+    dir.must("scene cornell -o c.glb");
+    for gather in ["path", "bundles"] {
+        let base = format!(
+            "bake c.glb --gather {gather} --directions 192 --bounces 2 --texels-per-metre 16"
+        );
+        let seconds = dir.must(&format!("{base} -o whole")).seconds;
+        for (k, cut) in [0.2, 0.5, 0.7].into_iter().enumerate() {
+            let resume = if k > 0 { " --resume" } else { "" };
+            let mut child = dir
+                .command(&format!("{base} -o cut{resume}"))
+                .spawn()
+                .unwrap();
+            std::thread::sleep(Duration::from_secs_f64(seconds * cut));
+            if cfg!(unix) && k == 1 {
+                let killed = std::process::Command::new("kill")
+                    .args(["-INT", &child.id().to_string()])
+                    .status();
+                assert!(killed.unwrap().success());
+                let run = finish(child);
+                // It may have been done already.
+                assert!(matches!(run.code, Some(130 | 0)), "{run:?}");
+            } else {
+                let _ = child.kill();
+                let _ = child.wait();
+            }
+        }
+        dir.must(&format!("{base} -o cut --resume"));
+        assert_eq!(maps(&dir, "whole"), maps(&dir, "cut"), "{gather}");
+        assert!(!dir.path("cut.checkpoint").exists());
+        std::fs::remove_dir_all(dir.path("cut")).unwrap();
+    }
+}
+
+#[test]
+fn checkpoints_of_other_works_and_damaged_ones_are_refused() {
+    let dir = Dir::new();
+    dir.must("scene cornell -o c.glb");
+    dir.must("bake c.glb -o part --shard 0/2 --directions 8 --texels-per-metre 4 --gather path");
+    let part = dir.read("part");
+    std::fs::write(dir.path("out.checkpoint"), &part).unwrap();
+    dir.refuses(
+        "bake c.glb -o out --resume --directions 8 --texels-per-metre 5 --gather path",
+        &["of another work"],
+    );
+    dir.refuses(
+        "bake c.glb -o out --resume --directions 8 --texels-per-metre 4 --gather path",
+        &["another shard"],
+    );
+    for cut in [0, 7, 9, 40, part.len() / 2, part.len() - 1] {
+        std::fs::write(dir.path("out.checkpoint"), &part[..cut]).unwrap();
+        dir.refuses(
+            "bake c.glb -o out --resume --directions 8 --texels-per-metre 4 --gather path",
+            &["out.checkpoint"],
+        );
+    }
+    for at in (8..part.len()).step_by(part.len() / 23) {
+        let mut bent = part.clone();
+        bent[at] ^= 0x55;
+        std::fs::write(dir.path("bent"), bent).unwrap();
+        let run = dir.run("merge bent part -o m");
+        assert!(matches!(run.code, Some(0..=2)), "{at}: {run:?}");
+        assert!(!run.stderr.contains("panicked"), "{}", run.stderr);
+    }
+}
+
+#[test]
+fn plan_says_what_bake_does() {
+    let dir = Dir::new();
+    dir.must("scene cornell -o c.glb");
+    let options = "--texels-per-metre 12 --directions 32 --bounces 1 --gather path";
+    let plan = dir.must(&format!("plan c.glb {options} --json")).stdout;
+    let plan: serde_json::Value = serde_json::from_str(&plan).unwrap();
+    dir.must(&format!("bake c.glb -o out {options} --stats s.json"));
+    let stats = dir.json("s.json");
+    assert_eq!(plan["texels"], stats["texels"]);
+    assert_eq!(plan["pages"], stats["pages"]);
+    assert_eq!(plan["directions"], 32);
+    let floor = plan["floor_bytes"].as_u64().unwrap();
+    let half = floor / 2;
+    dir.refuses(
+        &format!("bake c.glb -o no {options} --memory {half}"),
+        &["--memory"],
+    );
+    assert!(!dir.path("no").exists());
+    let limit = floor + floor / 5;
+    let run = dir.must(&format!("bake c.glb -o yes {options} --memory {limit}"));
+    assert!(run.peak_bytes <= limit, "{} > {limit}", run.peak_bytes);
+    assert!(
+        plan["objects"]
+            .as_array()
+            .is_some_and(|objects| !objects.is_empty())
+    );
+    assert!(
+        dir.must(&format!("plan c.glb {options}"))
+            .stdout
+            .contains("texels")
+    );
+}
+
+#[test]
+fn what_cannot_be_baked_is_said_before_any_work() {
+    let dir = Dir::new();
+    dir.must("scene cornell -o c.glb");
+    dir.write("file", "");
+    dir.refuses("bake c.glb -o file", &["a file is in the way"]);
+    dir.refuses("bake c.glb -o no/such/place", &["does not exist"]);
+    dir.refuses("bake c.glb -o out --select nobody", &["no node", "nobody"]);
+    dir.refuses("bake c.glb -o out --shard 0/2 --noise 0.1", &["--shard"]);
+    dir.refuses(
+        "bake c.glb -o out --pages-max 16 --texels-per-metre 2000",
+        &["--texels-per-metre"],
+    );
+    dir.refuses("bake nothing.glb -o out", &["nothing.glb"]);
+    assert_eq!(dir.names(), ["c.glb", "file"]);
+}
+
+#[test]
+fn direct_and_indirect_add_up_and_time_and_noise_stop() {
+    let dir = Dir::new();
+    dir.must("scene cornell -o c.glb");
+    let base = "bake c.glb --gather path --directions 256 --texels-per-metre 4 --bounces 2";
+    let mut means = Vec::new();
+    for light in ["all", "direct", "indirect"] {
+        dir.must(&format!("{base} -o {light} --light {light}"));
+        let page = read(
+            &dir.path(&format!("{light}/lightmap_000.exr")),
+            &Limits::default(),
+        );
+        means.push(page.unwrap().picture.mean()[1]);
+    }
+    let sum = means[1] + means[2];
+    assert!((sum / means[0] - 1.0).abs() < 0.02, "{means:?}");
+    dir.must(&format!("{base} -o ao --light ao"));
+    let open = lit(&dir.path("ao/lightmap_000.exr"));
+    assert!(open.iter().all(|&e| e <= PI * 1.01) && mean(&open) > 0.2);
+    for gather in ["path", "bundles"] {
+        dir.must(&format!(
+            "bake c.glb -o n --gather {gather} --noise 0.1 --texels-per-metre 4 --stats s.json"
+        ));
+        let stats = dir.json("s.json");
+        assert_eq!(stats["stopped_by"], "noise");
+        assert!(stats["noise"].as_f64().unwrap() <= 0.1);
+        dir.must(&format!(
+            "bake c.glb -o n --gather {gather} --time-limit 1s --texels-per-metre 4 --stats s.json"
+        ));
+        assert_eq!(dir.json("s.json")["stopped_by"], "time");
+    }
+}
