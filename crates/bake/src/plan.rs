@@ -67,6 +67,8 @@ const RAY_PER_DOUBLING: f64 = 25.0;
 /// A triangle of a direction, and a fragment with its exchange.
 const TRIANGLE: f64 = 16.0;
 const FRAGMENT: f64 = 14.0;
+/// A pixel of the analysis, with its mipmaps and the clearing of both.
+const ANALYSIS_PIXEL: f64 = 12.0;
 
 impl Bake<'_> {
     /// What will be held. Counts capacity that is sure to be used; `sky` and `lights` are small.
@@ -131,7 +133,10 @@ impl Bake<'_> {
                 RoundKind::Sky | RoundKind::Reflected => {
                     let (seconds, fragments) = *bundle.get_or_insert_with(|| self.try_bundles(job));
                     let all = f64::from(round.total);
-                    let priced = triangles as f64 * TRIANGLE + fragments * FRAGMENT;
+                    let pixels = f64::from(self.settings.bundles.analysis).powi(2);
+                    let priced = triangles as f64 * TRIANGLE
+                        + fragments * FRAGMENT
+                        + pixels * ANALYSIS_PIXEL;
                     (seconds * all, priced * all * 0.5e-9, 0.0)
                 }
             };
