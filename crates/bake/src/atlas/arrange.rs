@@ -17,14 +17,14 @@ pub(super) struct TooLarge {
 
 /// How a chart is brought onto texels.
 #[derive(Clone, Copy)]
-struct Fit {
+pub(super) struct Fit {
     /// Direction of the texel rows.
     along: DVec2,
     /// Lower left corner in turned coordinates.
     low: DVec2,
     scale: DVec2,
     start: DVec2,
-    cells: UVec2,
+    pub cells: UVec2,
 }
 
 /// Lays charts out at `density` texels a metre.
@@ -123,7 +123,7 @@ fn turn(along: DVec2, p: DVec2) -> DVec2 {
 }
 
 /// Turns a chart so that its bounding rectangle is smallest, longer side across, and fits it to texels.
-fn fit(points: &mut Vec<DVec2>, density: f64) -> Fit {
+pub(super) fn fit(points: &mut Vec<DVec2>, density: f64) -> Fit {
     let hull = hull(points);
     let bounds = |along: DVec2| {
         let turned = hull.iter().map(|&p| turn(along, p));

@@ -169,7 +169,6 @@ pub fn build(
     let mut built = Built::default();
     let atlas = &mut built.atlas;
     atlas.placements = vec![None; pose.instances.len()];
-    let mut sizes: Vec<UVec2> = Vec::new();
     let mut texels_of = vec![0_u64; classes.len()];
     for (c, (class, laid)) in classes.iter().zip(laid).enumerate() {
         let (layout, problem) = laid?;
@@ -178,15 +177,11 @@ pub fn build(
         for &instance in &class.instances {
             atlas.placements[instance as usize] = Some(Placement {
                 layout: atlas.layouts.len() as u32,
-                first_rectangle: sizes.len() as u32,
+                first_rectangle: 0,
             });
-            sizes.extend_from_slice(&layout.pieces);
         }
-        let of_one: u64 = layout
-            .pieces
-            .iter()
-            .map(|p| u64::from(p.x) * u64::from(p.y))
-            .sum();
+        let texels = |p: &UVec2| u64::from(p.x) * u64::from(p.y);
+        let of_one: u64 = layout.pieces.iter().map(texels).sum();
         texels_of[c] = of_one * class.instances.len() as u64;
         atlas.layouts.push(layout);
     }
@@ -211,8 +206,48 @@ pub fn build(
             fits: (most as f64 / texels as f64).sqrt() as f32,
         });
     }
-    (atlas.pages, atlas.rectangles) = pages::pack(&sizes, settings.padding, settings.page_size);
+    let groups = groups(pose, atlas);
+    let pieces = |layout: u32| atlas.layouts[layout as usize].pieces.clone();
+    let packed = pages::pack(&groups, pieces, settings.padding, settings.page_size);
+    (atlas.pages, atlas.blocks, atlas.rectangles) =
+        (packed.pages, packed.blocks, packed.rectangles);
     Ok(built)
+}
+
+/// Baked instances by node and place. Also notes where each instance's rectangles will begin.
+fn groups(pose: &Pose, atlas: &mut Atlas) -> Vec<pages::Group> {
+    let mut places: BTreeMap<(u32, u32), u32> = BTreeMap::new();
+    let mut members: BTreeMap<(u32, u32), Vec<u32>> = BTreeMap::new();
+    for (i, posed) in pose.instances.iter().enumerate() {
+        // The k-th time that a node shows a mesh is its k-th place.
+        let next = places.entry((posed.node, posed.mesh)).or_default();
+        if atlas.placements[i].is_some() {
+            members
+                .entry((posed.node, *next))
+                .or_default()
+                .push(i as u32);
+        }
+        *next += 1;
+    }
+    let mut rectangles = 0;
+    let mut groups = Vec::with_capacity(members.len());
+    for ((node, occurrence), instances) in members {
+        let mut layouts = Vec::with_capacity(instances.len());
+        for i in instances {
+            let Some(placement) = &mut atlas.placements[i as usize] else {
+                continue;
+            };
+            placement.first_rectangle = rectangles;
+            rectangles += atlas.layouts[placement.layout as usize].pieces.len() as u32;
+            layouts.push(placement.layout);
+        }
+        groups.push(pages::Group {
+            node,
+            occurrence,
+            layouts,
+        });
+    }
+    groups
 }
 
 fn object_name(scene: &Scene, class: &Class) -> String {

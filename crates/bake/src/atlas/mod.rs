@@ -164,6 +164,24 @@ pub struct Rectangle {
     pub page: u32,
     /// Its top left corner, texels.
     pub offset: UVec2,
+    /// Index into [`Atlas::blocks`].
+    pub block: u32,
+}
+
+/// A rectangle that holds the pieces of everything that hangs on a node at one place: what an engine needs to know. A node whose pieces fill
+/// more than a page has several.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Block {
+    /// Index into the scene's nodes.
+    pub node: u32,
+    /// Which of the node's places it is (`EXT_mesh_gpu_instancing`); otherwise 0.
+    pub occurrence: u32,
+    /// Index into [`Atlas::pages`].
+    pub page: u32,
+    /// Its top left corner, texels.
+    pub offset: UVec2,
+    /// Its width and height, texels.
+    pub size: UVec2,
 }
 
 /// Where on which page each triangle's texels are.
@@ -177,6 +195,8 @@ pub struct Atlas {
     pub placements: Vec<Option<Placement>>,
     /// Where pieces lie.
     pub rectangles: Vec<Rectangle>,
+    /// Where nodes lie.
+    pub blocks: Vec<Block>,
 }
 
 impl Atlas {
@@ -217,6 +237,7 @@ impl Atlas {
     pub fn bytes(&self) -> u64 {
         let lists = self.pages.capacity() * size_of::<Page>()
             + self.placements.capacity() * size_of::<Option<Placement>>()
+            + self.blocks.capacity() * size_of::<Block>()
             + self.rectangles.capacity() * size_of::<Rectangle>();
         self.layouts.iter().map(Layout::bytes).sum::<u64>() + lists as u64
     }

@@ -3,12 +3,14 @@
 //! Seeds are taken by area; from a seed a chart grows over neighbours within a cone around the seed's normal, then anew within a cone
 //! around the mean normal found so. Small left-overs join a neighbour whose direction they can be seen from. No triangle turns its
 //! back in its chart, so what can still go wrong is a chart that winds over itself (a spiral stair): it is looked for in a raster, and the
-//! chart is cut in two until nothing is found. Linear but for sorting.
+//! chart is cut in two until nothing is found. Charts that leave most of their rectangle empty (the frame of a window) are cut, too.
+//! Linear but for sorting.
 
 use super::overlap::overlaps;
 use super::topology::{NONE, neighbours};
 use super::{Charts, Surface, Unwrap, UnwrapError, cross};
-use glam::{Vec2, Vec3};
+use crate::atlas::arrange::fit;
+use glam::{DVec2, Vec2, Vec3};
 
 /// Grows charts and projects them.
 #[derive(Clone, Copy, Debug, Default)]
@@ -22,13 +24,17 @@ const MEAN_CONE: f32 = 0.7;
 const JOIN_CONE: f32 = 0.342;
 /// Charts of fewer texels look for a neighbour to join.
 const SMALL_TEXELS: f32 = 64.0;
+/// Charts that use less of their rectangle are cut, unless it is small.
+const LEAST_FILL: f32 = 0.35;
+/// Rectangles of fewer texels are small.
+const SMALL_CELLS: u32 = 256;
 
 impl Unwrap for Projection {
     fn charts(&self, surface: &Surface) -> Result<Charts, UnwrapError> {
         let mut work = Work::new(surface);
         work.grow()?;
         work.join_small();
-        work.split_overlapping();
+        work.split_unfit();
         Ok(work.project())
     }
 }
@@ -228,20 +234,45 @@ impl<'a> Work<'a> {
         self.charts[chart as usize].head = NONE;
     }
 
-    fn split_overlapping(&mut self) {
+    /// Whether most of the chart's rectangle would be empty.
+    fn is_sparse(&self, chart: u32, frame: &Frame, points: &mut Vec<DVec2>) -> bool {
+        let density = self.surface.texels_per_metre;
+        let texels = self.charts[chart as usize].area * density * density;
+        points.clear();
+        let mut border = 0.0;
+        for t in self.members(chart) {
+            let corners = frame.corners(self, t);
+            points.extend(corners.map(Vec2::as_dvec2));
+            for k in 0..3 {
+                let n = self.neighbours[t as usize][k];
+                if n == NONE || self.of[n as usize] != chart {
+                    border += corners[k].distance(corners[(k + 1) % 3]);
+                }
+            }
+        }
+        let cells = fit(points, f64::from(density)).cells;
+        let cells = u64::from(cells.x) * u64::from(cells.y);
+        // Half a texel on either side of the border is used as well.
+        let used = texels + 0.5 * border * density + 1.0;
+        cells > u64::from(SMALL_CELLS) && used < LEAST_FILL * cells as f32
+    }
+
+    fn split_unfit(&mut self) {
         let mut chart = 0;
         let mut two = [Vec::new(), Vec::new()];
+        let mut points = Vec::new();
         while chart < self.charts.len() as u32 {
             let known = self.charts[chart as usize];
-            let flatten = Frame::new(self, known);
-            let folds = known.head != NONE
-                && !known.flat
-                && known.head != known.tail
-                && overlaps(
-                    self.members(chart).map(|t| flatten.corners(self, t)),
-                    2.0 * self.surface.texels_per_metre,
-                );
-            if !folds {
+            let frame = Frame::new(self, known);
+            let whole = known.head == NONE || known.head == known.tail || {
+                let folds = !known.flat
+                    && overlaps(
+                        self.members(chart).map(|t| frame.corners(self, t)),
+                        2.0 * self.surface.texels_per_metre,
+                    );
+                !folds && !self.is_sparse(chart, &frame, &mut points)
+            };
+            if whole {
                 chart += 1;
                 continue;
             }
@@ -260,11 +291,11 @@ impl<'a> Work<'a> {
             };
             let axes = [axis(self, &two[0]), axis(self, &two[1])];
             // The first half keeps the number and is looked at again; the second comes up at the end.
-            let kept = self.add_chart(&two[0], axes[0], false);
+            let kept = self.add_chart(&two[0], axes[0], known.flat);
             self.charts[chart as usize] = self.charts[kept as usize];
             self.charts.pop();
             two[0].iter().for_each(|&t| self.of[t as usize] = chart);
-            self.add_chart(&two[1], axes[1], false);
+            self.add_chart(&two[1], axes[1], known.flat);
         }
     }
 
@@ -298,6 +329,7 @@ impl<'a> Work<'a> {
         let taken: std::collections::BTreeSet<u32> = first.iter().copied().collect();
         second.clear();
         second.extend(members.iter().filter(|t| !taken.contains(t)));
+        debug_assert!(!second.is_empty());
     }
 
     fn project(self) -> Charts {
