@@ -11,6 +11,8 @@
 pub mod atlas;
 pub mod baked;
 pub mod bundle;
+pub mod export;
+pub mod finish;
 pub mod gather;
 pub mod noise;
 pub mod plan;

@@ -45,6 +45,32 @@ pub fn write_atomically(
     Ok(())
 }
 
+/// [`write_atomically`] for formats that come back to what they have written. What is not a regular file cannot be written so.
+pub(crate) fn write_seekable(
+    path: &Path,
+    fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+) -> Result<(), ImageError> {
+    let failed = |source| ImageError::Write {
+        path: path.to_owned(),
+        source,
+    };
+    if fs::metadata(path).is_ok_and(|meta| !meta.is_file()) {
+        return Err(failed(io::Error::other("not a regular file")));
+    }
+    let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    let (temporary, file) = create_beside(&target).map_err(failed)?;
+    let mut out = BufWriter::with_capacity(1 << 16, file);
+    let done = fill(&mut out)
+        .and_then(|()| out.into_inner().map_err(|e| e.into_error())?.sync_all())
+        .and_then(|()| fs::rename(&temporary, &target));
+    if let Err(source) = done {
+        let _ = fs::remove_file(&temporary);
+        return Err(failed(source));
+    }
+    sync_folder(&target);
+    Ok(())
+}
+
 fn fill_and_sync(
     file: File,
     fill: impl FnOnce(&mut dyn Write) -> io::Result<()>,

@@ -31,7 +31,7 @@ pub(crate) const OWN_NAMES: [&str; 15] = [
 ];
 
 /// Lines in a ZIP block.
-const BLOCK_LINES: usize = 16;
+pub(crate) const BLOCK_LINES: usize = 16;
 /// The middle of zlib's levels: beyond it, noise costs time and saves nothing.
 const ZLIB_LEVEL: u8 = 5;
 /// x, y of red, green, blue and white of Rec. ITU-R BT.709-6.
@@ -39,8 +39,9 @@ const REC_709: [f32; 8] = [0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290];
 
 /// Writes the file. The layers were checked.
 pub(crate) fn write(layers: &Layers, out: &mut impl Write) -> io::Result<()> {
-    let mut channels: Vec<&Channel> = layers.channels.iter().collect();
-    channels.sort_by(|a, b| a.name.cmp(&b.name));
+    let channels: Vec<&Channel> = (order(&layers.channels).into_iter())
+        .map(|i| &layers.channels[i])
+        .collect();
     let header = header(layers, &channels);
     let (width, height) = (layers.width as usize, layers.height as usize);
 
@@ -63,7 +64,14 @@ pub(crate) fn write(layers: &Layers, out: &mut impl Write) -> io::Result<()> {
     Ok(())
 }
 
-fn header(layers: &Layers, channels: &[&Channel]) -> Vec<u8> {
+/// The order of channels in the file: by name.
+pub(crate) fn order(channels: &[Channel]) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..channels.len()).collect();
+    order.sort_by(|&a, &b| channels[a].name.cmp(&channels[b].name));
+    order
+}
+
+pub(crate) fn header(layers: &Layers, channels: &[&Channel]) -> Vec<u8> {
     let names = channels
         .iter()
         .map(|c| &c.name)
@@ -132,18 +140,32 @@ fn attribute(out: &mut Vec<u8>, name: &str, kind: &str, value: &[u8]) {
     out.extend(value);
 }
 
-/// One block's samples as they lie uncompressed: line by line, channel by channel.
+/// One block's samples as they lie uncompressed.
 fn gather(channels: &[&Channel], width: usize, height: usize, block: usize) -> Vec<u8> {
     let first = block * BLOCK_LINES;
     let lines = first..(first + BLOCK_LINES).min(height);
+    let values: Vec<&[f32]> = channels
+        .iter()
+        .map(|c| &c.values[lines.start * width..lines.end * width])
+        .collect();
+    interleave(channels, &values, width, lines.len())
+}
+
+/// Samples line by line, channel by channel.
+pub(crate) fn interleave(
+    channels: &[&Channel],
+    values: &[&[f32]],
+    width: usize,
+    lines: usize,
+) -> Vec<u8> {
     let bytes_a_pixel: usize = channels
         .iter()
         .map(|c| if c.depth == Depth::Half { 2 } else { 4 })
         .sum();
-    let mut raw = Vec::with_capacity(lines.len() * width * bytes_a_pixel);
-    for y in lines {
-        for c in channels {
-            let line = &c.values[y * width..(y + 1) * width];
+    let mut raw = Vec::with_capacity(lines * width * bytes_a_pixel);
+    for y in 0..lines {
+        for (c, values) in channels.iter().zip(values) {
+            let line = &values[y * width..(y + 1) * width];
             match c.depth {
                 Depth::Half => line
                     .iter()
@@ -167,7 +189,7 @@ fn half_of(v: f32) -> f16 {
 
 /// Even bytes first, then odd bytes, each as the difference to its predecessor plus 128, through zlib. What does not
 /// shrink is stored as it is: readers know it by its size.
-fn compress(raw: &[u8]) -> Vec<u8> {
+pub(crate) fn compress(raw: &[u8]) -> Vec<u8> {
     let mut split: Vec<u8> = Vec::with_capacity(raw.len());
     split.extend(raw.iter().step_by(2));
     split.extend(raw.iter().skip(1).step_by(2));

@@ -142,6 +142,21 @@ impl Layers {
 
     /// Errs unless every channel has one value a pixel, names are legal and nothing is named twice.
     pub(crate) fn check(&self) -> Result<(), ImageError> {
+        let pixels = u64::from(self.width) * u64::from(self.height);
+        for channel in &self.channels {
+            if channel.values.len() as u64 != pixels {
+                return Err(ImageError::Inconsistent(format!(
+                    "channel {} has {} values for {pixels} pixels",
+                    channel.name,
+                    channel.values.len()
+                )));
+            }
+        }
+        self.check_names()
+    }
+
+    /// The same, whatever values there are.
+    pub(crate) fn check_names(&self) -> Result<(), ImageError> {
         let wrong = |text: String| Err(ImageError::Inconsistent(text));
         let pixels = u64::from(self.width) * u64::from(self.height);
         if pixels == 0 || self.width > i32::MAX as u32 || self.height > i32::MAX as u32 {
@@ -152,15 +167,6 @@ impl Layers {
         }
         if self.channels.is_empty() {
             return wrong("an EXR file needs a channel".to_owned());
-        }
-        for channel in &self.channels {
-            if channel.values.len() as u64 != pixels {
-                return wrong(format!(
-                    "channel {} has {} values for {pixels} pixels",
-                    channel.name,
-                    channel.values.len()
-                ));
-            }
         }
         let of_channels = self.channels.iter().map(|c| c.name.as_str());
         let of_metadata = self.metadata.iter().map(|(n, _)| n.as_str());

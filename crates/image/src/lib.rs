@@ -22,6 +22,7 @@ pub mod metrics;
 mod picture;
 mod png;
 mod report;
+mod rows;
 mod tone;
 
 pub use atomic::{check_place, check_writable, write_atomically};
@@ -31,6 +32,7 @@ pub use codec::{
 pub use error::ImageError;
 pub use layers::{Attribute, Channel, Depth, Layers};
 pub use picture::Picture;
+pub use rows::{write_exr_rows, write_png_rows};
 pub use report::{Named, write_map, write_report};
 pub use tone::{ToneMap, srgb_decode, srgb_encode};
 

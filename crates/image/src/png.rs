@@ -14,6 +14,17 @@ pub(crate) fn write(
     text: &[(String, String)],
     out: &mut (impl Write + ?Sized),
 ) -> io::Result<()> {
+    write_rows(width, height, text, out, |out| out.write_all(rgb))
+}
+
+/// [`write`] for bytes that `fill` writes piece by piece.
+pub(crate) fn write_rows(
+    width: u32,
+    height: u32,
+    text: &[(String, String)],
+    out: &mut (impl Write + ?Sized),
+    fill: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+) -> io::Result<()> {
     let mut encoder = png::Encoder::new(out, width, height);
     encoder.set_color(png::ColorType::Rgb);
     encoder.set_depth(png::BitDepth::Eight);
@@ -40,7 +51,9 @@ pub(crate) fn write(
         e => io::Error::other(e),
     };
     let mut writer = encoder.write_header().map_err(into_io)?;
-    writer.write_image_data(rgb).map_err(into_io)?;
+    let mut stream = writer.stream_writer().map_err(into_io)?;
+    fill(&mut stream)?;
+    stream.finish().map_err(into_io)?;
     writer.finish().map_err(into_io)
 }
 

@@ -38,4 +38,4 @@ pub use pose::{Deformed, Pose, PosedInstance, PosedLight};
 pub use prefetch::prefetch;
 pub use scene::{Contents, Instance, Node, Scene, Skin};
 pub use texture::{Filter, Image, Sampler, Texels, Texture, Wrap};
-pub use write::{WriteError, write_glb};
+pub use write::{LitNode, Unfolding, WriteError, WrittenNode, write_glb, write_lit_glb};

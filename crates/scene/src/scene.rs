@@ -68,7 +68,7 @@ pub struct Scene {
     pub motion: Motion,
     /// Constant environment radiance of the file (`extras.sky`), black by default.
     pub sky: glam::Vec3,
-    /// Nodes whose `extras.texels_per_metre` asks for another density in light maps than the scene's, in ascending order, and that
+    /// Nodes whose (or whose mesh's) `extras.texelsPerMetre` asks for another density in light maps than the scene's, in ascending order, and that
     /// density: finite, at least 0.
     pub texel_densities: Vec<(u32, f32)>,
     /// What the file holds beyond what is drawn, for reports.
@@ -92,6 +92,8 @@ pub struct Contents {
     pub animations: Vec<(String, f32)>,
     /// For each of [`Scene::nodes`] its index in the file.
     pub file_nodes: Vec<u32>,
+    /// For each of [`Scene::meshes`] its mesh in the file, and the primitive of that mesh.
+    pub file_meshes: Vec<[u32; 2]>,
     /// Program that wrote the file.
     pub generator: String,
 }

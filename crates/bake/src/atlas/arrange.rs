@@ -83,6 +83,7 @@ pub(super) fn arrange(
     let mut layout = Layout {
         mesh,
         pieces,
+        chart_count: charts.count,
         ..Layout::default()
     };
     if layout.pieces.len() > 1 {

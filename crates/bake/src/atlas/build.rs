@@ -2,7 +2,7 @@
 
 use super::arrange::{TooLarge, arrange};
 use super::unwrap::{Conformal, Projection, Surface, Unwrap, UnwrapError};
-use super::{Atlas, Layout, Placement, pages};
+use super::{Atlas, Layout, Placement, given, pages};
 use glam::{Mat3, UVec2, Vec3};
 use occlude_render::job::Job;
 use occlude_scene::{Pose, Scene};
@@ -377,6 +377,21 @@ fn lay_out(scene: &Scene, class: &Class, settings: &AtlasSettings) -> Result<Lai
         what,
         lost,
     };
+    let mut refused = None;
+    if settings.use_given && !mesh.uv1.is_empty() {
+        match given::layout(class.mesh, &surface, &mesh.uv1, settings.padding, settings.page_size) {
+            Ok(Ok(given)) => {
+                let note = given.narrow.then(|| {
+                    let what = format!("TEXCOORD_1 is used, but its islands are less than {} texels apart: light may bleed", settings.padding);
+                    problem(what, false)
+                });
+                return Ok((Some(given.layout), note));
+            }
+            Ok(Err(unfit)) => refused = Some(problem(format!("TEXCOORD_1 is not used, new UVs are made: {unfit}"), false)),
+            // What is laid out anew may be divided among pages.
+            Err(TooLarge { .. }) => refused = Some(problem("TEXCOORD_1 is not used, new UVs are made: it needs more than a page".into(), false)),
+        }
+    }
     let charts = match settings.unwrap {
         UnwrapKind::Projection => Projection.charts(&surface),
         UnwrapKind::Conformal => Conformal.charts(&surface),
@@ -397,7 +412,7 @@ fn lay_out(scene: &Scene, class: &Class, settings: &AtlasSettings) -> Result<Lai
         settings.padding,
         settings.page_size,
     ) {
-        Ok(layout) => Ok((Some(layout), None)),
+        Ok(layout) => Ok((Some(layout), refused)),
         Err(TooLarge { shrink }) => Err(AtlasError::LargerThanPage {
             object: object_name(scene, class),
             page_size: settings.page_size,

@@ -1,6 +1,6 @@
 //! How many texels a metre each instance gets.
 //!
-//! A node's `extras.texels_per_metre` in the file overrides the general number for what hangs on it and below; 0 keeps it out of the light
+//! A node's `extras.texelsPerMetre` in the file overrides the general number for what hangs on it and below; 0 keeps it out of the light
 //! map.
 
 use occlude_scene::{AlphaMode, Pose, Scene};

@@ -15,6 +15,7 @@
 mod arrange;
 mod build;
 pub mod density;
+pub mod given;
 mod pages;
 mod skyline;
 pub mod unwrap;
@@ -69,11 +70,17 @@ pub struct Layout {
     buckets: Vec<Vec<u32>>,
     /// The tallest triangle of every piece, rows.
     tallest: Vec<u32>,
+    chart_count: u32,
 }
 
 impl Layout {
     /// Marks a triangle without a chart.
     pub const NO_CHART: u32 = u32::MAX;
+
+    /// Number of charts.
+    pub fn chart_count(&self) -> u32 {
+        self.chart_count
+    }
 
     /// The piece that a triangle lies on.
     pub fn piece(&self, primitive: u32) -> u32 {

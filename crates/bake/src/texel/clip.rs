@@ -118,7 +118,7 @@ impl Polygon {
 
 /// Calls `found` with every texel (column, row) in `rows` that a triangle touches by more than a border, and the area that it takes there. A
 /// triangle without area is found in the texels that its line runs through.
-pub(super) fn cover(corners: [Vec2; 3], rows: Range<u32>, mut found: impl FnMut(u32, u32, f32)) {
+pub(crate) fn cover(corners: [Vec2; 3], rows: Range<u32>, mut found: impl FnMut(u32, u32, f32)) {
     /// Less than this of a texel is a border that was touched, in square texels for each texel of the triangle's length.
     const TOUCH: f32 = 1e-5;
     let low = corners[0].min(corners[1]).min(corners[2]);

@@ -8,15 +8,18 @@
 
 mod clip;
 pub mod reflect;
+pub mod validity;
 
-use crate::atlas::{Atlas, Rectangle};
+use crate::atlas::{Atlas, Layout, Rectangle};
 use glam::{UVec2, Vec2};
 use occlude_render::geometry::WorldTriangle;
 use occlude_scene::{Pose, Scene};
 use occlude_visibility::Hit;
+use std::collections::BTreeMap;
 use std::ops::Range;
 
 pub use clip::Polygon;
+pub(crate) use clip::cover;
 
 /// What a triangle takes of a texel.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -128,6 +131,34 @@ impl<'a> Texels<'a> {
                 let starts = (0..size.height).step_by(step as usize);
                 starts.map(move |y| (page as u32, y..(y + step).min(size.height)))
             })
+    }
+
+    /// For every piece of an instance on a page (by instance and piece) the number of charts on the page before it.
+    pub(crate) fn first_charts(&self, page: u32) -> BTreeMap<(u32, u32), u32> {
+        let mut before = 0;
+        let mut first = BTreeMap::new();
+        for piece in &self.by_page[page as usize] {
+            first.insert((piece.instance, piece.piece), before);
+            // Charts are counted through all pieces of a layout; some numbers stay unused.
+            before += self.atlas.layouts[piece.layout as usize].chart_count();
+        }
+        first
+    }
+
+    fn layout(&self, instance: u32) -> Option<&Layout> {
+        let placement = (*self.atlas.placements.get(instance as usize)?)?;
+        self.atlas.layouts.get(placement.layout as usize)
+    }
+
+    /// The chart of a triangle, counted through its layout.
+    pub fn chart(&self, instance: u32, primitive: u32) -> Option<u32> {
+        let chart = *self.layout(instance)?.charts.get(primitive as usize)?;
+        (chart != Layout::NO_CHART).then_some(chart)
+    }
+
+    /// The piece of a layout that a triangle lies on.
+    pub(crate) fn piece(&self, instance: u32, primitive: u32) -> u32 {
+        self.layout(instance).map_or(0, |layout| layout.piece(primitive))
     }
 
     /// The covered texels of some rows of a page.

@@ -44,7 +44,19 @@ impl Component {
         }
     }
 
-    fn size(self) -> usize {
+    /// The number that stands for it in a file.
+    pub fn code(self) -> u32 {
+        match self {
+            Self::I8 => 5120,
+            Self::U8 => 5121,
+            Self::I16 => 5122,
+            Self::U16 => 5123,
+            Self::U32 => 5125,
+            Self::F32 => 5126,
+        }
+    }
+
+    pub fn size(self) -> usize {
         match self {
             Self::I8 | Self::U8 => 1,
             Self::I16 | Self::U16 => 2,
@@ -60,16 +72,30 @@ pub(super) enum Shape {
     Vec2,
     Vec3,
     Vec4,
+    Mat2,
+    Mat3,
     Mat4,
 }
 
 impl Shape {
+    pub const ALL: [Self; 7] = [
+        Self::Scalar,
+        Self::Vec2,
+        Self::Vec3,
+        Self::Vec4,
+        Self::Mat2,
+        Self::Mat3,
+        Self::Mat4,
+    ];
+
     pub fn from_name(name: &str) -> Option<Self> {
         Some(match name {
             "SCALAR" => Self::Scalar,
             "VEC2" => Self::Vec2,
             "VEC3" => Self::Vec3,
             "VEC4" => Self::Vec4,
+            "MAT2" => Self::Mat2,
+            "MAT3" => Self::Mat3,
             "MAT4" => Self::Mat4,
             _ => return None,
         })
@@ -80,7 +106,8 @@ impl Shape {
             Self::Scalar => 1,
             Self::Vec2 => 2,
             Self::Vec3 => 3,
-            Self::Vec4 => 4,
+            Self::Vec4 | Self::Mat2 => 4,
+            Self::Mat3 => 9,
             Self::Mat4 => 16,
         }
     }
@@ -123,7 +150,7 @@ impl Source {
         let Some(shape) = Shape::from_name(&entry.shape).filter(|s| shapes.contains(s)) else {
             return fault(&format!("type {:?} does not fit here", entry.shape));
         };
-        let size = component.size() * shape.components();
+        let size = element_size(component, shape);
         let base = match entry.buffer_view {
             Some(view) => {
                 let view = self.view(view, &place)?;
@@ -220,6 +247,16 @@ impl Source {
     }
 }
 
+fn element_size(component: Component, shape: Shape) -> usize {
+    let columns = match shape {
+        Shape::Mat2 => 2,
+        Shape::Mat3 => 3,
+        Shape::Mat4 => 4,
+        _ => return component.size() * shape.components(),
+    };
+    columns * (component.size() * columns).next_multiple_of(4)
+}
+
 /// One past the last byte of strided elements; `None` on overflow.
 fn elements_end(offset: u64, count: u64, stride: usize, size: usize) -> Option<u64> {
     match count {
@@ -282,6 +319,29 @@ impl<'a> Accessor<'a> {
             Component::U32 => self.gather(u32::from_le_bytes, map),
             _ => return None,
         })
+    }
+
+    /// Bytes of an element. Columns of matrices of small integers are padded to 4 bytes (glTF 2.0, section 3.6.2.4).
+    pub fn size(&self) -> usize {
+        element_size(self.component, self.shape)
+    }
+
+    /// The bytes of all elements, tightly packed.
+    pub fn elements(&self) -> Vec<u8> {
+        let size = self.size();
+        let mut out = vec![0; size * self.count];
+        if let Some((bytes, stride)) = self.base {
+            // The last element may end before its stride does.
+            for (to, from) in out.chunks_exact_mut(size).zip(bytes.chunks(stride)) {
+                to.copy_from_slice(&from[..size]);
+            }
+        }
+        if let Some((indices, values)) = &self.sparse {
+            for (&i, from) in indices.iter().zip(values.chunks_exact(size)) {
+                out[i as usize * size..][..size].copy_from_slice(from);
+            }
+        }
+        out
     }
 
     fn gather<const N: usize, const B: usize, C: Copy + Default, T: Clone>(

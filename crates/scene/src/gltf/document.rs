@@ -145,6 +145,7 @@ pub(super) struct Mesh {
     #[serde(default)]
     pub primitives: Vec<Primitive>,
     pub weights: Option<Vec<f32>>,
+    pub extras: Option<Value>,
 }
 
 #[derive(Debug, Deserialize)]

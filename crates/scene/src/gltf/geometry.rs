@@ -46,33 +46,7 @@ pub(super) fn primitive(
     };
     let position = reader.accessor(position, "POSITION", &[Shape::Vec3])?;
     let mut positions = position.floats(Vec3::from_array);
-
-    let mut triangles = match compressed {
-        Some(mesh) => mesh.triangles.clone(),
-        None => {
-            let corners = corners(source, entry, positions.len(), place)?;
-            assemble(source, &corners, mode, place, &mut warnings)?
-        }
-    };
-    let highest = triangles.as_flattened().iter().copied().max();
-    if let Some(i) = highest.filter(|&i| i as usize >= positions.len()) {
-        let what = format!(
-            "vertex index {i} is out of range, there are {} vertices",
-            positions.len()
-        );
-        return Err(source.fault(place, &what, RE_EXPORT));
-    }
-
-    if positions.iter().any(|p| !p.is_finite()) {
-        let before = triangles.len();
-        triangles.retain(|t| t.iter().all(|&i| positions[i as usize].is_finite()));
-        let lost = before - triangles.len();
-        if lost > 0 {
-            let what = format!("{lost} triangles with positions that are not finite were dropped");
-            warnings.push(Warning::new(place, &what));
-        }
-    }
-    triangles.retain(|&[a, b, c]| a != b && b != c && a != c);
+    let mut triangles = triangles(&reader, entry, &positions, &mut warnings)?;
     if triangles.is_empty() {
         if warnings.is_empty() {
             warnings.push(Warning::new(
@@ -130,6 +104,62 @@ pub(super) fn primitive(
         tangents::generate(&mut mesh, map.texture.uv_set);
     }
     Ok((Some(mesh), warnings))
+}
+
+/// The triangles that [`primitive`] makes of an entry, before it drops vertices that none of them uses.
+pub(super) fn kept_triangles(
+    source: &Source,
+    entry: &Primitive,
+    compressed: Option<&draco::Decoded>,
+    place: &str,
+) -> Result<Vec<[u32; 3]>, SceneError> {
+    let reader = Attributes {
+        source,
+        place,
+        compressed,
+    };
+    let Some(&position) = entry.attributes.get("POSITION") else {
+        return Ok(Vec::new());
+    };
+    let position = reader.accessor(position, "POSITION", &[Shape::Vec3])?;
+    let positions = position.floats(Vec3::from_array);
+    triangles(&reader, entry, &positions, &mut Vec::new())
+}
+
+/// The triangles of an entry that can be drawn.
+fn triangles(
+    reader: &Attributes,
+    entry: &Primitive,
+    positions: &[Vec3],
+    warnings: &mut Vec<Warning>,
+) -> Result<Vec<[u32; 3]>, SceneError> {
+    let (source, place) = (reader.source, reader.place);
+    let mut triangles = match reader.compressed {
+        Some(mesh) => mesh.triangles.clone(),
+        None => {
+            let corners = corners(source, entry, positions.len(), place)?;
+            assemble(source, &corners, entry.mode.unwrap_or(4), place, warnings)?
+        }
+    };
+    let highest = triangles.as_flattened().iter().copied().max();
+    if let Some(i) = highest.filter(|&i| i as usize >= positions.len()) {
+        let what = format!(
+            "vertex index {i} is out of range, there are {} vertices",
+            positions.len()
+        );
+        return Err(source.fault(place, &what, RE_EXPORT));
+    }
+    if positions.iter().any(|p| !p.is_finite()) {
+        let before = triangles.len();
+        triangles.retain(|t| t.iter().all(|&i| positions[i as usize].is_finite()));
+        let lost = before - triangles.len();
+        if lost > 0 {
+            let what = format!("{lost} triangles with positions that are not finite were dropped");
+            warnings.push(Warning::new(place, &what));
+        }
+    }
+    triangles.retain(|&[a, b, c]| a != b && b != c && a != c);
+    Ok(triangles)
 }
 
 /// The vertices that corners name, or all of them in their order.

@@ -15,6 +15,7 @@ mod hierarchy;
 mod images;
 mod materials;
 mod meshopt;
+pub(crate) mod rewrite;
 mod source;
 mod tangents;
 
@@ -74,7 +75,7 @@ pub(crate) fn load(
         || textures.decode(&mut budget),
         || plan.meshes(&source, &materials),
     );
-    let (meshes, mesh_of) = meshes?.collect(&mut warnings);
+    let (meshes, mesh_of, file_meshes) = meshes?.collect(&mut warnings);
     let pictures = decoded?;
     warnings.extend(pictures.warnings);
 
@@ -130,6 +131,7 @@ pub(crate) fn load(
         }
     }
     scene.texel_densities = texel_densities(&source, &hierarchy, &mut warnings);
+    scene.contents.file_meshes = file_meshes;
     scene.motion = animation::motion(&source, &hierarchy, &mut budget, &mut warnings)?;
     scene.contents.animations = scene
         .motion
@@ -222,7 +224,7 @@ fn sky(source: &Source, scene: Option<usize>, warnings: &mut Vec<Warning>) -> Ve
     }
 }
 
-/// What nodes ask for in `extras.texels_per_metre`.
+/// What nodes, or else their meshes, ask for in `extras.texelsPerMetre`.
 fn texel_densities(
     source: &Source,
     hierarchy: &Hierarchy,
@@ -230,15 +232,16 @@ fn texel_densities(
 ) -> Vec<(u32, f32)> {
     let mut found = Vec::new();
     for (node, file, entry) in hierarchy.in_file_order(source) {
-        let extras = entry.extras.as_ref();
-        let Some(wanted) = extras.and_then(|e| e.get("texels_per_metre")) else {
+        let mesh = entry.mesh.and_then(|m| source.document.meshes.get(m as usize));
+        let of = |extras: &Option<serde_json::Value>| extras.as_ref()?.get("texelsPerMetre").cloned();
+        let Some(wanted) = of(&entry.extras).or_else(|| of(&mesh?.extras)) else {
             continue;
         };
         match wanted.as_f64().map(|d| d as f32) {
             Some(density) if density >= 0.0 && density.is_finite() => found.push((node, density)),
             _ => warnings.push(Warning::new(
                 &node_place(source, file),
-                "extras.texels_per_metre is not a number of at least 0: it is ignored",
+                "extras.texelsPerMetre is not a number of at least 0: it is ignored",
             )),
         }
     }
@@ -362,10 +365,9 @@ impl MeshPlan {
         };
         let built: Vec<_> = self.primitives.par_iter().map(build).collect();
         let meshes = built.into_iter().collect::<Result<_, _>>()?;
-        let of_file = self.primitives.iter().map(|&(m, _)| m).collect();
         Ok(Built {
             meshes,
-            of_file,
+            of_file: self.primitives.clone(),
             file_meshes: source.document.meshes.len(),
         })
     }
@@ -418,23 +420,26 @@ fn primitive_bytes(source: &Source, primitive: &document::Primitive) -> u64 {
 
 struct Built {
     meshes: Vec<(Option<Mesh>, Vec<Warning>)>,
-    of_file: Vec<usize>,
+    /// The file's mesh and primitive.
+    of_file: Vec<(usize, usize)>,
     file_meshes: usize,
 }
 
 impl Built {
-    /// Our meshes, and those of them that each of the file's became.
-    fn collect(self, warnings: &mut Vec<Warning>) -> (Vec<Mesh>, Vec<Vec<u32>>) {
+    /// Our meshes, those of them that each of the file's became, and the file's mesh and primitive behind each of ours.
+    fn collect(self, warnings: &mut Vec<Warning>) -> (Vec<Mesh>, Vec<Vec<u32>>, Vec<[u32; 2]>) {
         let mut meshes = Vec::new();
+        let mut file_meshes = Vec::new();
         let mut mesh_of = vec![Vec::new(); self.file_meshes];
-        for ((mesh, found), file) in self.meshes.into_iter().zip(self.of_file) {
+        for ((mesh, found), (file, primitive)) in self.meshes.into_iter().zip(self.of_file) {
             warnings.extend(found);
             if let Some(mesh) = mesh {
                 mesh_of[file].push(meshes.len() as u32);
+                file_meshes.push([file as u32, primitive as u32]);
                 meshes.push(mesh);
             }
         }
-        (meshes, mesh_of)
+        (meshes, mesh_of, file_meshes)
     }
 }
 

@@ -19,6 +19,8 @@ pub(super) struct Source {
     pub path: PathBuf,
     pub document: Document,
     file: Vec<u8>,
+    /// The document in `file`.
+    json: Range<usize>,
     /// The BIN chunk in `file`.
     bin: Range<usize>,
     buffers: Vec<BufferBytes>,
@@ -46,7 +48,7 @@ impl Source {
     pub fn open(path: &Path, budget: &mut Budget) -> Result<Self, SceneError> {
         let file = read_file(path, budget)?;
         let (json, bin) = chunks(path, &file)?;
-        let text = &file[json];
+        let text = &file[json.clone()];
         let text = text.strip_prefix(b"\xef\xbb\xbf").unwrap_or(text);
         // A parsed document takes a small multiple of its text.
         budget.reserve(text.len() as u64 * 4)?;
@@ -62,6 +64,7 @@ impl Source {
             path: path.to_path_buf(),
             document,
             file,
+            json,
             bin: bin.unwrap_or(0..0),
             buffers: Vec::new(),
             decoded: Vec::new(),
@@ -69,6 +72,14 @@ impl Source {
         source.check_version()?;
         source.open_buffers(budget)?;
         Ok(source)
+    }
+
+    /// The whole document, with what this loader does not read.
+    pub fn json(&self) -> Result<serde_json::Value, SceneError> {
+        let text = &self.file[self.json.clone()];
+        let text = text.strip_prefix(b"\xef\xbb\xbf").unwrap_or(text);
+        serde_json::from_slice(text)
+            .map_err(|e| self.fault("", &format!("not a glTF 2.0 document ({e})"), RE_EXPORT))
     }
 
     fn check_version(&self) -> Result<(), SceneError> {

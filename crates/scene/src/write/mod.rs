@@ -8,15 +8,19 @@
 //! extras, unused objects) is gone, and pictures become PNG.
 
 mod buffer;
+mod lit;
 mod material;
 mod mesh;
 mod node;
 
-use crate::Scene;
+use crate::{Scene, SceneError};
 use buffer::Buffers;
 use serde_json::{Map, Value, json};
 use std::collections::BTreeSet;
 use std::io::Write;
+use std::path::PathBuf;
+
+pub use lit::{LitNode, Unfolding, WrittenNode, write_lit_glb};
 
 /// Why a scene could not be written.
 #[derive(Debug, thiserror::Error)]
@@ -32,6 +36,15 @@ pub enum WriteError {
         name: String,
         /// What the encoder said.
         why: String,
+    },
+    /// The source file cannot be read again.
+    #[error(transparent)]
+    Source(#[from] SceneError),
+    /// The source file is not the one that the scene was loaded from.
+    #[error("the scene's file has changed: {}: start again", path.display())]
+    Changed {
+        /// The file.
+        path: PathBuf,
     },
     /// GLB holds at most 4 GiB.
     #[error("the scene needs {bytes} bytes, GLB holds at most 4294967295")]
@@ -123,7 +136,7 @@ pub fn write_glb(scene: &Scene, out: &mut impl Write) -> Result<(), WriteError> 
 }
 
 /// GLB: a header, a JSON chunk and a binary chunk, all little-endian and padded to 4 bytes (glTF 2.0, section 4).
-fn container(
+pub(crate) fn container(
     root: &Value,
     bytes: u64,
     chunks: &[std::borrow::Cow<'_, [u8]>],

@@ -9,6 +9,9 @@ mod overlap;
 mod projection;
 mod topology;
 
+pub(crate) use overlap::overlap_of;
+pub(crate) use topology::neighbours;
+
 pub use conformal::Conformal;
 pub use projection::Projection;
 

@@ -20,12 +20,12 @@ pub(super) fn overlaps(
     }
     let size = high - low;
     if !size.is_finite() || size.min_element() <= 0.0 {
-        return false;
+        return None;
     }
     let scale = f64::from(cells_per_unit).min(MOST_CELLS / size.max_element());
     let cells = (size * scale).ceil().as_usizevec2() + 1;
     let mut taken = vec![0_u64; (cells.x * cells.y).div_ceil(64)];
-    for triangle in corners {
+    for (number, triangle) in corners.enumerate() {
         let points = triangle.map(|c| ((c.as_dvec2() - low) * scale * STEPS).round().as_i64vec2());
         let collides = each_covered_cell(points, |x, y| {
             let cell = y as usize * cells.x + x as usize;
@@ -36,10 +36,10 @@ pub(super) fn overlaps(
             before
         });
         if collides {
-            return true;
+            return Some(number);
         }
     }
-    false
+    None
 }
 
 /// Calls `visit` for every cell whose centre a triangle covers, by a rule that gives each point of an edge to one of its two

@@ -4,11 +4,11 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 /// There is no triangle.
-pub(super) const NONE: u32 = u32::MAX;
+pub(crate) const NONE: u32 = u32::MAX;
 
 /// For every triangle the neighbours across its edges (from corner k to corner k + 1). Vertices at the same place are one. Edges of
 /// more than two triangles, and those where the winding turns over, connect nothing.
-pub(super) fn neighbours(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<[u32; 3]> {
+pub(crate) fn neighbours(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<[u32; 3]> {
     let place = weld(positions);
     let corner = |t: usize, k: usize| place[triangles[t][k % 3] as usize];
     // Half edges, by the smaller of their vertices.
