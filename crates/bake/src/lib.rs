@@ -6,7 +6,9 @@
 //! * [`bundle`] gathers light along many directions, for all texels at once, into [`sums`];
 //! * [`rounds`] bakes: round by round into a [`state`] that can be stopped, written, merged and gone on with;
 //! * [`plan`] says beforehand what that will take;
-//! * [`baked`] shows surfaces in the light of their maps.
+//! * [`baked`] shows surfaces in the light of their maps;
+//! * [`finish`] repairs, smooths and joins what was gathered;
+//! * [`export`] writes light maps, the scene with its second UV set, and the manifest.
 
 pub mod atlas;
 pub mod baked;

@@ -32,8 +32,8 @@ pub use codec::{
 pub use error::ImageError;
 pub use layers::{Attribute, Channel, Depth, Layers};
 pub use picture::Picture;
-pub use rows::{write_exr_rows, write_png_rows};
 pub use report::{Named, write_map, write_report};
+pub use rows::{write_exr_rows, write_png_rows};
 pub use tone::{ToneMap, srgb_decode, srgb_encode};
 
 #[cfg(test)]

@@ -29,7 +29,12 @@ pub fn write_exr_rows(
         let range = b * lines..((b + 1) * lines).min(layers.height);
         let values = rows(range.clone());
         let sorted: Vec<&[f32]> = order.iter().map(|&i| values[i].as_slice()).collect();
-        exr_write::compress(&exr_write::interleave(&channels, &sorted, layers.width as usize, range.len()))
+        exr_write::compress(&exr_write::interleave(
+            &channels,
+            &sorted,
+            layers.width as usize,
+            range.len(),
+        ))
     };
     atomic::write_seekable(path, |out| {
         out.write_all(&header)?;
@@ -38,7 +43,10 @@ pub fn write_exr_rows(
         let mut offsets = Vec::with_capacity(8 * blocks as usize);
         let at_once = rayon::current_num_threads() as u32 * 2;
         for first in (0..blocks).step_by(at_once as usize) {
-            let made: Vec<Vec<u8>> = (first..(first + at_once).min(blocks)).into_par_iter().map(block).collect();
+            let made: Vec<Vec<u8>> = (first..(first + at_once).min(blocks))
+                .into_par_iter()
+                .map(block)
+                .collect();
             for (i, bytes) in made.iter().enumerate() {
                 offsets.extend(offset.to_le_bytes());
                 out.write_all(&((first as i32 + i as i32) * BLOCK_LINES as i32).to_le_bytes())?;

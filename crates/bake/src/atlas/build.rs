@@ -379,7 +379,13 @@ fn lay_out(scene: &Scene, class: &Class, settings: &AtlasSettings) -> Result<Lai
     };
     let mut refused = None;
     if settings.use_given && !mesh.uv1.is_empty() {
-        match given::layout(class.mesh, &surface, &mesh.uv1, settings.padding, settings.page_size) {
+        match given::layout(
+            class.mesh,
+            &surface,
+            &mesh.uv1,
+            settings.padding,
+            settings.page_size,
+        ) {
             Ok(Ok(given)) => {
                 let note = given.narrow.then(|| {
                     let what = format!("TEXCOORD_1 is used, but its islands are less than {} texels apart: light may bleed", settings.padding);
@@ -387,9 +393,19 @@ fn lay_out(scene: &Scene, class: &Class, settings: &AtlasSettings) -> Result<Lai
                 });
                 return Ok((Some(given.layout), note));
             }
-            Ok(Err(unfit)) => refused = Some(problem(format!("TEXCOORD_1 is not used, new UVs are made: {unfit}"), false)),
+            Ok(Err(unfit)) => {
+                refused = Some(problem(
+                    format!("TEXCOORD_1 is not used, new UVs are made: {unfit}"),
+                    false,
+                ))
+            }
             // What is laid out anew may be divided among pages.
-            Err(TooLarge { .. }) => refused = Some(problem("TEXCOORD_1 is not used, new UVs are made: it needs more than a page".into(), false)),
+            Err(TooLarge { .. }) => {
+                refused = Some(problem(
+                    "TEXCOORD_1 is not used, new UVs are made: it needs more than a page".into(),
+                    false,
+                ))
+            }
         }
     }
     let charts = match settings.unwrap {

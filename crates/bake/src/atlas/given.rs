@@ -54,8 +54,13 @@ pub(super) fn layout(
 ) -> Result<Result<Given, Unfit>, TooLarge> {
     const SLACK: f32 = 1e-4;
     let corners = |t: &[u32; 3]| t.map(|i| uv[i as usize]);
-    let inside = |c: &Vec2| c.is_finite() && c.min_element() >= -SLACK && c.max_element() <= 1.0 + SLACK;
-    let outside = surface.triangles.iter().filter(|t| !corners(t).iter().all(inside)).count();
+    let inside =
+        |c: &Vec2| c.is_finite() && c.min_element() >= -SLACK && c.max_element() <= 1.0 + SLACK;
+    let outside = surface
+        .triangles
+        .iter()
+        .filter(|t| !corners(t).iter().all(inside))
+        .count();
     if outside > 0 {
         return Ok(Err(Unfit::OutOfBounds { triangles: outside }));
     }
@@ -75,7 +80,9 @@ pub(super) fn layout(
         return Ok(Err(Unfit::Overlap { triangle }));
     }
     // As many texels as the surface is worth.
-    let side = (f64::from(surface.texels_per_metre) * (world / flat).sqrt()).round().max(1.0) as f32;
+    let side = (f64::from(surface.texels_per_metre) * (world / flat).sqrt())
+        .round()
+        .max(1.0) as f32;
     let (mut low, mut high) = (Vec2::INFINITY, Vec2::NEG_INFINITY);
     for t in surface.triangles {
         for c in corners(t) {
@@ -85,14 +92,20 @@ pub(super) fn layout(
     let origin = (low * side).floor().max(Vec2::ZERO);
     let size = ((high * side).ceil() - origin).max(Vec2::ONE);
     if size.max_element() > page_size as f32 {
-        return Err(TooLarge { shrink: (page_size - 1) as f32 / size.max_element() });
+        return Err(TooLarge {
+            shrink: (page_size - 1) as f32 / size.max_element(),
+        });
     }
     let size = size.as_uvec2();
     let (charts, count) = islands(surface, uv);
     let limit = size.as_vec2();
     let mut layout = Layout {
         mesh,
-        corners: surface.triangles.iter().map(|t| corners(t).map(|c| (c * side - origin).clamp(Vec2::ZERO, limit))).collect(),
+        corners: surface
+            .triangles
+            .iter()
+            .map(|t| corners(t).map(|c| (c * side - origin).clamp(Vec2::ZERO, limit)))
+            .collect(),
         charts,
         pieces: vec![size],
         chart_count: count,
@@ -100,10 +113,15 @@ pub(super) fn layout(
     };
     let distance = distance(&layout, size, padding);
     if distance == 0 && count > 1 {
-        return Ok(Err(Unfit::TooClose { texels_per_metre: surface.texels_per_metre }));
+        return Ok(Err(Unfit::TooClose {
+            texels_per_metre: surface.texels_per_metre,
+        }));
     }
     layout.index_rows();
-    Ok(Ok(Given { layout, narrow: distance < padding }))
+    Ok(Ok(Given {
+        layout,
+        narrow: distance < padding,
+    }))
 }
 
 /// Triangles that hang together by vertices with the same UV and place.
@@ -174,7 +192,11 @@ fn distance(layout: &Layout, size: UVec2, enough: u32) -> u32 {
             for d in 1..least as usize {
                 let right = (x + d < width).then(|| owner[y * width + x + d]);
                 let below = (y + d < height).then(|| owner[(y + d) * width + x]);
-                if [right, below].into_iter().flatten().any(|o| o != 0 && o != own) {
+                if [right, below]
+                    .into_iter()
+                    .flatten()
+                    .any(|o| o != 0 && o != own)
+                {
                     least = d as u32;
                     break;
                 }
@@ -182,5 +204,5 @@ fn distance(layout: &Layout, size: UVec2, enough: u32) -> u32 {
         }
     }
     // Neighbours are a distance of 1 apart, with nothing between.
-    (least - 1).max(u32::from(!shared)).min(enough)
+    least - 1
 }

@@ -6,7 +6,7 @@ use std::collections::HashMap;
 
 /// Whether every edge is shared by two triangles that run along it in opposite ways, with all fronts outwards: vertices are the
 /// same if they are at the same place. O(n log n).
-pub(super) fn is_closed(mesh: &Mesh) -> bool {
+pub(crate) fn is_closed(mesh: &Mesh) -> bool {
     // Numbers of places, not of vertices: seams of normals and UVs split vertices.
     let mut places: HashMap<[u32; 3], u32> = HashMap::with_capacity(mesh.positions.len());
     let place: Vec<u32> = mesh

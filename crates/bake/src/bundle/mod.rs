@@ -33,6 +33,7 @@ mod transport;
 mod triangles;
 
 pub use analysis::Counting;
+pub(crate) use closed::is_closed;
 pub use frame::Directions;
 pub use radiance::Radiance;
 pub use triangles::{Sides, Triangles};

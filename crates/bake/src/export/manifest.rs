@@ -61,24 +61,38 @@ pub struct NodeEntry {
 }
 
 impl Manifest {
-    pub(super) fn new(texels: &Texels, written: &[WrittenNode], pages: Vec<PageEntry>, settings: &ExportSettings) -> Self {
+    pub(super) fn new(
+        texels: &Texels,
+        written: &[WrittenNode],
+        pages: Vec<PageEntry>,
+        settings: &ExportSettings,
+    ) -> Self {
         let (scene, atlas) = (texels.scene, texels.atlas);
         let mut mesh_of: BTreeMap<u32, &str> = BTreeMap::new();
         for placement in atlas.placements.iter().flatten() {
             let layout = &atlas.layouts[placement.layout as usize];
             for piece in 0..layout.pieces.len() as u32 {
                 let block = atlas.rectangles[(placement.first_rectangle + piece) as usize].block;
-                mesh_of.entry(block).or_insert(&scene.meshes[layout.mesh as usize].name);
+                mesh_of
+                    .entry(block)
+                    .or_insert(&scene.meshes[layout.mesh as usize].name);
             }
         }
         let entry = |(i, block): (usize, &crate::atlas::Block)| {
             let (scale, offset) = rectangle(atlas, block);
-            let written = written.get(i).copied().unwrap_or(WrittenNode { node: block.node, instance: None });
+            let written = written.get(i).copied().unwrap_or(WrittenNode {
+                node: block.node,
+                instance: None,
+            });
             NodeEntry {
                 node: written.node,
                 instance: written.instance,
                 name: scene.nodes[block.node as usize].name.clone(),
-                mesh: mesh_of.get(&(i as u32)).copied().unwrap_or_default().to_string(),
+                mesh: mesh_of
+                    .get(&(i as u32))
+                    .copied()
+                    .unwrap_or_default()
+                    .to_string(),
                 page: block.page,
                 scale: scale.to_array(),
                 offset: offset.to_array(),

@@ -20,7 +20,9 @@ use crate::finish::{Canvas, LEAST_VALIDITY};
 use crate::texel::Texels;
 use crate::texel::validity::{Solids, validity};
 use glam::Vec2;
-use occlude_image::{Attribute, Depth, ImageError, Layers, ToneMap, write_atomically, write_exr_rows, write_png_rows};
+use occlude_image::{
+    Attribute, Depth, ImageError, Layers, ToneMap, write_atomically, write_exr_rows, write_png_rows,
+};
 use occlude_render::geometry::Geometry;
 use occlude_render::job::Job;
 use occlude_scene::{LitNode, Unfolding, WriteError, WrittenNode, write_lit_glb};
@@ -182,7 +184,11 @@ pub fn write(
                 let texel = first + i as u32;
                 // What is inside gathered nothing: the rest stands for the texel.
                 let share = canvas.validity[i];
-                let scale = if share < LEAST_VALIDITY { 1.0 } else { 1.0 / share };
+                let scale = if share < LEAST_VALIDITY {
+                    1.0
+                } else {
+                    1.0 / share
+                };
                 canvas.values[i] = light.irradiance(texel).map(|v| v * scale);
                 if !light.is_known(texel) {
                     canvas.validity[i] = 0.0;
@@ -214,8 +220,14 @@ pub fn write(
 
 fn merged(a: Stitched, b: Stitched) -> Stitched {
     let points = a.points + b.points;
-    let mean = |x: f64, y: f64| ((x * x * a.points as f64 + y * y * b.points as f64) / points.max(1) as f64).sqrt();
-    Stitched { points, before: mean(a.before, b.before), after: mean(a.after, b.after) }
+    let mean = |x: f64, y: f64| {
+        ((x * x * a.points as f64 + y * y * b.points as f64) / points.max(1) as f64).sqrt()
+    };
+    Stitched {
+        points,
+        before: mean(a.before, b.before),
+        after: mean(a.after, b.after),
+    }
 }
 
 fn write_page(
@@ -247,35 +259,78 @@ fn write_page(
         let range = index(&rows);
         let color = |of: &dyn Fn(usize) -> [f32; 3]| -> Vec<Vec<f32>> {
             let values: Vec<[f32; 3]> = range.clone().map(of).collect();
-            (0..3).map(|c| values.iter().map(|v| v[c] * factor).collect()).collect()
+            (0..3)
+                .map(|c| values.iter().map(|v| v[c] * factor).collect())
+                .collect()
         };
         let covered = |i: usize| canvas.charts[i] != 0;
         let mut out = color(&|i| canvas.values[i]);
-        out.extend(color(&|i| if covered(i) { light.irradiance(first + i as u32) } else { [0.0; 3] }));
-        out.push(range.clone().map(|i| if covered(i) { canvas.validity[i] } else { 0.0 }).collect());
+        out.extend(color(&|i| {
+            if covered(i) {
+                light.irradiance(first + i as u32)
+            } else {
+                [0.0; 3]
+            }
+        }));
+        out.push(
+            range
+                .clone()
+                .map(|i| if covered(i) { canvas.validity[i] } else { 0.0 })
+                .collect(),
+        );
         for layer in 0..light.layers().len() {
-            out.extend(color(&|i| if covered(i) { light.layer(layer, first + i as u32) } else { [0.0; 3] }));
+            out.extend(color(&|i| {
+                if covered(i) {
+                    light.layer(layer, first + i as u32)
+                } else {
+                    [0.0; 3]
+                }
+            }));
         }
         out
     })?;
     let tone_map = ToneMap::default();
-    let text = |what: &str| vec![("Software".to_string(), "occlude".to_string()), ("Description".to_string(), what.to_string())];
+    let text = |what: &str| {
+        vec![
+            ("Software".to_string(), "occlude".to_string()),
+            ("Description".to_string(), what.to_string()),
+        ]
+    };
     // The radiance of a white surface, whatever the engine reads.
-    let about = format!("radiance of a white surface in this light; tone map {}", tone_map.name());
-    write_png_rows(&folder.join(format!("{stem}.png")), width, height, &text(&about), |rows| {
-        let encode = |i: usize| tone_map.encode(canvas.values[i].map(|v| v * FRAC_1_PI), 0.0);
-        index(&rows).flat_map(encode).collect()
-    })?;
+    let about = format!(
+        "radiance of a white surface in this light; tone map {}",
+        tone_map.name()
+    );
+    write_png_rows(
+        &folder.join(format!("{stem}.png")),
+        width,
+        height,
+        &text(&about),
+        |rows| {
+            let encode = |i: usize| tone_map.encode(canvas.values[i].map(|v| v * FRAC_1_PI), 0.0);
+            index(&rows).flat_map(encode).collect()
+        },
+    )?;
     let about = "green: valid, red: invalid, black: not covered";
-    write_png_rows(&folder.join(format!("{stem}_validity.png")), width, height, &text(about), |rows| {
-        let encode = |i: usize| match (canvas.charts[i], canvas.validity[i]) {
-            (0, _) => [0, 0, 0],
-            (_, v) if v >= LEAST_VALIDITY => [0, (90.0 + 110.0 * v) as u8, 40],
-            (_, v) => [220, (120.0 * v) as u8, 20],
-        };
-        index(&rows).flat_map(encode).collect()
-    })?;
-    Ok(PageEntry { file, width, height })
+    write_png_rows(
+        &folder.join(format!("{stem}_validity.png")),
+        width,
+        height,
+        &text(about),
+        |rows| {
+            let encode = |i: usize| match (canvas.charts[i], canvas.validity[i]) {
+                (0, _) => [0, 0, 0],
+                (_, v) if v >= LEAST_VALIDITY => [0, (90.0 + 110.0 * v) as u8, 40],
+                (_, v) => [220, (120.0 * v) as u8, 20],
+            };
+            index(&rows).flat_map(encode).collect()
+        },
+    )?;
+    Ok(PageEntry {
+        file,
+        width,
+        height,
+    })
 }
 
 /// Scale and offset of a block on its page.
@@ -317,23 +372,28 @@ pub fn write_scene(folder: &Path, texels: &Texels) -> Result<Vec<WrittenNode>, E
         for piece in 0..layout.pieces.len() as u32 {
             let r = atlas.rectangles[(placement.first_rectangle + piece) as usize];
             let within = r.offset - atlas.blocks[r.block as usize].offset;
-            of_block.entry(r.block).or_default().push((piece, within.to_array()));
+            of_block
+                .entry(r.block)
+                .or_default()
+                .push((piece, within.to_array()));
         }
         for (block, pieces) in of_block {
             let size = atlas.blocks[block as usize].size;
-            let unfolding = *known.entry((placement.layout, size.to_array(), pieces.clone())).or_insert_with(|| {
-                let size = size.as_vec2();
-                unfoldings.push(Unfolding {
-                    mesh: layout.mesh,
-                    uv: Box::new(move |t| {
-                        let corners = *layout.corners.get(t as usize)?;
-                        let &(_, at) = pieces.iter().find(|p| p.0 == layout.piece(t))?;
-                        let at = Vec2::new(at[0] as f32, at[1] as f32);
-                        Some(corners.map(|c| (c + at) / size))
-                    }),
+            let unfolding = *known
+                .entry((placement.layout, size.to_array(), pieces.clone()))
+                .or_insert_with(|| {
+                    let size = size.as_vec2();
+                    unfoldings.push(Unfolding {
+                        mesh: layout.mesh,
+                        uv: Box::new(move |t| {
+                            let corners = *layout.corners.get(t as usize)?;
+                            let &(_, at) = pieces.iter().find(|p| p.0 == layout.piece(t))?;
+                            let at = Vec2::new(at[0] as f32, at[1] as f32);
+                            Some(corners.map(|c| (c + at) / size))
+                        }),
+                    });
+                    unfoldings.len() as u32 - 1
                 });
-                unfoldings.len() as u32 - 1
-            });
             nodes[block as usize].unfoldings.push(unfolding);
         }
     }

@@ -6,6 +6,7 @@
 //! Class: biased; details weaker than the noise go. Wrong for maps that are converged already: leave it off.
 
 use super::{Canvas, LEAST_VALIDITY};
+use glam::Vec3;
 use rayon::prelude::*;
 
 /// How texels around are searched for like ones.
@@ -21,7 +22,11 @@ pub struct DenoiseSettings {
 
 impl Default for DenoiseSettings {
     fn default() -> Self {
-        Self { reach: 6, patch: 1, strength: 1.5 }
+        Self {
+            reach: 6,
+            patch: 1,
+            strength: 1.5,
+        }
     }
 }
 
@@ -31,47 +36,62 @@ const BLOCK: usize = 32;
 /// Smooths a page.
 pub fn denoise(canvas: &mut Canvas, settings: &DenoiseSettings) {
     let noise = Noise::of(canvas);
-    let (width, reach, patch) = (canvas.width as i64, i64::from(settings.reach), i64::from(settings.patch));
+    let (width, reach, patch) = (
+        canvas.width as i64,
+        i64::from(settings.reach),
+        i64::from(settings.patch),
+    );
     let height = i64::from(canvas.height);
     let source = &*canvas;
     let usable = |i: usize| source.charts[i] != 0 && source.validity[i] >= LEAST_VALIDITY;
-    let index = |x: i64, y: i64| (x >= 0 && y >= 0 && x < width && y < height).then(|| (y * width + x) as usize);
+    let index = |x: i64, y: i64| {
+        (x >= 0 && y >= 0 && x < width && y < height).then(|| (y * width + x) as usize)
+    };
     let smooth = |i: usize| {
         if !usable(i) {
             return source.values[i];
         }
         let chart = source.charts[i];
         let (x, y) = (i as i64 % width, i as i64 / width);
-        let variance = noise.at(i).map(|d| (settings.strength * d).powi(2).max(1e-20));
-        let (mut sum, mut total) = ([0.0_f32; 3], 0.0_f32);
+        let variance = Vec3::from(noise.at(i)) * settings.strength;
+        let variance = (variance * variance).max(Vec3::splat(1e-20));
+        let (mut sum, mut total) = (Vec3::ZERO, 0.0_f32);
         for dy in -reach..=reach {
             for dx in -reach..=reach {
-                let Some(j) = index(x + dx, y + dy).filter(|&j| source.charts[j] == chart && usable(j)) else { continue };
+                let Some(j) =
+                    index(x + dx, y + dy).filter(|&j| source.charts[j] == chart && usable(j))
+                else {
+                    continue;
+                };
                 let (mut distance, mut count) = (0.0, 0.0_f32);
                 for py in -patch..=patch {
                     for px in -patch..=patch {
-                        let (Some(a), Some(b)) = (index(x + px, y + py), index(x + dx + px, y + dy + py)) else { continue };
+                        let (Some(a), Some(b)) =
+                            (index(x + px, y + py), index(x + dx + px, y + dy + py))
+                        else {
+                            continue;
+                        };
                         if source.charts[a] != chart || source.charts[b] != chart {
                             continue;
                         }
-                        for c in 0..3 {
-                            distance += (source.values[a][c] - source.values[b][c]).powi(2) / variance[c];
-                        }
+                        let d = Vec3::from(source.values[a]) - Vec3::from(source.values[b]);
+                        distance += (d * d / variance).element_sum();
                         count += 3.0;
                     }
                 }
                 // Two noisy patches differ by twice the variance.
                 let excess = (distance / count.max(1.0) - 2.0).max(0.0);
                 let weight = (-excess).exp();
-                for c in 0..3 {
-                    sum[c] += weight * source.values[j][c];
-                }
+                sum += weight * Vec3::from(source.values[j]);
                 total += weight;
             }
         }
-        sum.map(|s| s / total)
+        (sum / total).to_array()
     };
-    canvas.values = (0..source.values.len()).into_par_iter().map(smooth).collect();
+    canvas.values = (0..source.values.len())
+        .into_par_iter()
+        .map(smooth)
+        .collect();
 }
 
 /// Standard deviations of the noise by block.
@@ -113,7 +133,11 @@ impl Noise {
             })
         };
         let blocks = (0..across * down).into_par_iter().map(of_block).collect();
-        Self { width, blocks, across }
+        Self {
+            width,
+            blocks,
+            across,
+        }
     }
 
     fn at(&self, i: usize) -> [f32; 3] {
@@ -131,7 +155,11 @@ mod tests {
     fn noise_goes_edges_and_charts_stay() {
         let (w, h) = (96, 64);
         let mut random = Random(4);
-        let mut canvas = Canvas { width: w, height: h, ..Canvas::default() };
+        let mut canvas = Canvas {
+            width: w,
+            height: h,
+            ..Canvas::default()
+        };
         let mut clean = Vec::new();
         for y in 0..h {
             for x in 0..w {
@@ -148,12 +176,25 @@ mod tests {
                 canvas.validity.push(1.0);
             }
         }
-        let error = |canvas: &Canvas| canvas.values.iter().zip(&clean).map(|(v, c)| (v[0] - c).powi(2)).sum::<f32>() / clean.len() as f32;
+        let error = |canvas: &Canvas| {
+            canvas
+                .values
+                .iter()
+                .zip(&clean)
+                .map(|(v, c)| (v[0] - c).powi(2))
+                .sum::<f32>()
+                / clean.len() as f32
+        };
         let before = error(&canvas);
         denoise(&mut canvas, &DenoiseSettings::default());
         let after = error(&canvas);
         assert!(after < 0.08 * before, "{before} -> {after}");
-        let worst = canvas.values.iter().zip(&clean).map(|(v, c)| (v[0] - c).abs()).fold(0.0, f32::max);
+        let worst = canvas
+            .values
+            .iter()
+            .zip(&clean)
+            .map(|(v, c)| (v[0] - c).abs())
+            .fold(0.0, f32::max);
         assert!(worst < 0.25, "{worst}");
     }
 }

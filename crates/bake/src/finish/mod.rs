@@ -48,21 +48,28 @@ impl Canvas {
         };
         let first = texels.first_charts(page);
         let row_texels = (size.width * ROWS) as usize;
-        canvas.charts.par_chunks_mut(row_texels).enumerate().for_each(|(k, rows)| {
-            let top = k as u32 * ROWS;
-            let band = texels.band(page, top..(top + ROWS).min(size.height));
-            for i in 0..band.len() {
-                // The chart with most of the texel has it.
-                let fragments = band.fragments(i);
-                let larger = |a: Fragment, b: &Fragment| if b.area > a.area { *b } else { a };
-                let most = fragments.iter().fold(fragments[0], larger);
-                let local = band.texel(i) - size.texel(0, top);
-                let chart = texels.chart(most.instance, most.primitive);
-                if let (Some(chart), Some(&first)) = (chart, first.get(&(most.instance, texels.piece(most.instance, most.primitive)))) {
-                    rows[local as usize] = first + chart + 1;
+        canvas
+            .charts
+            .par_chunks_mut(row_texels)
+            .enumerate()
+            .for_each(|(k, rows)| {
+                let top = k as u32 * ROWS;
+                let band = texels.band(page, top..(top + ROWS).min(size.height));
+                for i in 0..band.len() {
+                    // The chart with most of the texel has it.
+                    let fragments = band.fragments(i);
+                    let larger = |a: Fragment, b: &Fragment| if b.area > a.area { *b } else { a };
+                    let most = fragments.iter().fold(fragments[0], larger);
+                    let local = band.texel(i) - size.texel(0, top);
+                    let chart = texels.chart(most.instance, most.primitive);
+                    if let (Some(chart), Some(&first)) = (
+                        chart,
+                        first.get(&(most.instance, texels.piece(most.instance, most.primitive))),
+                    ) {
+                        rows[local as usize] = first + chart + 1;
+                    }
                 }
-            }
-        });
+            });
         canvas
     }
 
@@ -70,7 +77,16 @@ impl Canvas {
     fn neighbours(&self, i: usize) -> impl Iterator<Item = usize> + use<> {
         let (w, h) = (self.width as i64, self.height as i64);
         let (x, y) = (i as i64 % w, i as i64 / w);
-        const AROUND: [(i64, i64); 8] = [(-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1)];
+        const AROUND: [(i64, i64); 8] = [
+            (-1, -1),
+            (0, -1),
+            (1, -1),
+            (-1, 0),
+            (1, 0),
+            (-1, 1),
+            (0, 1),
+            (1, 1),
+        ];
         AROUND.into_iter().filter_map(move |(dx, dy)| {
             let (x, y) = (x + dx, y + dy);
             (x >= 0 && y >= 0 && x < w && y < h).then_some((y * w + x) as usize)
@@ -83,12 +99,20 @@ impl Canvas {
         let mut open: Vec<usize> = (0..self.values.len())
             .filter(|&i| self.charts[i] != 0 && self.validity[i] < LEAST_VALIDITY)
             .collect();
-        let mut known: Vec<bool> = self.charts.iter().zip(&self.validity).map(|(&c, &v)| c != 0 && v >= LEAST_VALIDITY).collect();
+        let mut known: Vec<bool> = self
+            .charts
+            .iter()
+            .zip(&self.validity)
+            .map(|(&c, &v)| c != 0 && v >= LEAST_VALIDITY)
+            .collect();
         let mut filled = 0;
         while !open.is_empty() {
             let found: Vec<(usize, [f32; 3])> = open
                 .par_iter()
-                .filter_map(|&i| self.mean_around(i, |n| known[n] && self.charts[n] == self.charts[i]).map(|v| (i, v)))
+                .filter_map(|&i| {
+                    self.mean_around(i, |n| known[n] && self.charts[n] == self.charts[i])
+                        .map(|v| (i, v))
+                })
                 .collect();
             if found.is_empty() {
                 break;
@@ -115,7 +139,10 @@ impl Canvas {
     /// Fills texels around charts, `rings` deep, with the mean of what is beside them. Charts themselves stay.
     pub fn dilate(&mut self, rings: u32) {
         let mut known: Vec<bool> = self.charts.iter().map(|&c| c != 0).collect();
-        let mut border: Vec<usize> = (0..known.len()).into_par_iter().filter(|&i| !known[i] && self.neighbours(i).any(|n| known[n])).collect();
+        let mut border: Vec<usize> = (0..known.len())
+            .into_par_iter()
+            .filter(|&i| !known[i] && self.neighbours(i).any(|n| known[n]))
+            .collect();
         for _ in 0..rings {
             let found: Vec<(usize, [f32; 3])> = border
                 .par_iter()
@@ -125,7 +152,11 @@ impl Canvas {
                 self.values[i] = value;
                 known[i] = true;
             }
-            border = found.iter().flat_map(|&(i, _)| self.neighbours(i)).filter(|&n| !known[n]).collect();
+            border = found
+                .iter()
+                .flat_map(|&(i, _)| self.neighbours(i))
+                .filter(|&n| !known[n])
+                .collect();
             border.sort_unstable();
             border.dedup();
         }
@@ -138,7 +169,13 @@ mod tests {
 
     /// Two charts of 3 by 3 texels, two apart, on a page of 10 by 5; the middle of the first is invalid.
     fn canvas() -> Canvas {
-        let mut canvas = Canvas { width: 10, height: 5, values: vec![[0.0; 3]; 50], charts: vec![0; 50], validity: vec![1.0; 50] };
+        let mut canvas = Canvas {
+            width: 10,
+            height: 5,
+            values: vec![[0.0; 3]; 50],
+            charts: vec![0; 50],
+            validity: vec![1.0; 50],
+        };
         for y in 1..4 {
             for x in 0..3 {
                 let (a, b) = (y * 10 + 1 + x, y * 10 + 6 + x);

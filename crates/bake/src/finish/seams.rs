@@ -29,6 +29,9 @@ struct Side {
     k: u32,
 }
 
+/// A triangle of a mesh and one of its edges.
+type Edge = (u32, u32);
+
 /// Both sides of a seam; the second runs the other way around.
 type Seam = [Side; 2];
 
@@ -52,7 +55,10 @@ pub fn stitch(texels: &Texels, canvases: &mut [(u32, Canvas)]) -> Stitched {
         count += canvas.values.len();
     }
     let seams = seams(texels);
-    let rows: Vec<Row> = seams.par_iter().flat_map_iter(|seam| rows(texels, &starts, seam)).collect();
+    let rows: Vec<Row> = seams
+        .par_iter()
+        .flat_map_iter(|seam| rows(texels, &starts, seam))
+        .collect();
     if rows.is_empty() {
         return Stitched::default();
     }
@@ -61,9 +67,9 @@ pub fn stitch(texels: &Texels, canvases: &mut [(u32, Canvas)]) -> Stitched {
 
 /// All smooth edges that are cut, in an order that never changes.
 fn seams(texels: &Texels) -> Vec<Seam> {
-    let (scene, pose, atlas) = (texels.scene, texels.pose, texels.atlas);
+    let (scene, atlas) = (texels.scene, texels.atlas);
     // Inside of meshes: the same for all instances of a layout.
-    let per_layout: Vec<(Vec<[(u32, u32); 2]>, Vec<(u32, u32)>)> = atlas
+    let per_layout: Vec<(Vec<[Edge; 2]>, Vec<Edge>)> = atlas
         .layouts
         .par_iter()
         .map(|layout| {
@@ -78,7 +84,12 @@ fn seams(texels: &Texels) -> Vec<Seam> {
                     if n == u32::MAX {
                         border.push((t as u32, k as u32));
                     } else if (n as usize) > t && layout.charts[n as usize] != layout.charts[t] {
-                        let back = around_index(&neighbour_edges(mesh.triangles[n as usize], &mesh.positions), mesh.triangles[t], &mesh.positions, k);
+                        let back = around_index(
+                            &neighbour_edges(mesh.triangles[n as usize], &mesh.positions),
+                            mesh.triangles[t],
+                            &mesh.positions,
+                            k,
+                        );
                         if let Some(j) = back {
                             cut.push([(t as u32, k as u32), (n, j)]);
                         }
@@ -93,20 +104,28 @@ fn seams(texels: &Texels) -> Vec<Seam> {
     for (i, placement) in atlas.placements.iter().enumerate() {
         let Some(placement) = placement else { continue };
         let (cut, border) = &per_layout[placement.layout as usize];
-        let side = |(primitive, k): (u32, u32)| Side { instance: i as u32, primitive, k };
-        found.extend(cut.iter().map(|pair| pair.map(side)).filter(|seam| is_smooth(texels, seam)));
+        let side = |(primitive, k): (u32, u32)| Side {
+            instance: i as u32,
+            primitive,
+            k,
+        };
+        found.extend(
+            cut.iter()
+                .map(|pair| pair.map(side))
+                .filter(|seam| is_smooth(texels, seam)),
+        );
         for &edge in border {
             let side = side(edge);
             let [a, b] = ends(texels, side);
             borders.push((place_of(a, b), side));
         }
     }
-    let _ = pose;
     borders.par_sort_unstable_by_key(|(place, s)| (*place, s.instance, s.primitive, s.k));
     for run in borders.chunk_by(|a, b| a.0 == b.0) {
         if let [(_, a), (_, b)] = run {
             let seam = [*a, *b];
-            let opposite = ends(texels, *a)[0].distance(ends(texels, *b)[1]) <= ends(texels, *a)[0].distance(ends(texels, *b)[0]);
+            let opposite = ends(texels, *a)[0].distance(ends(texels, *b)[1])
+                <= ends(texels, *a)[0].distance(ends(texels, *b)[0]);
             if a.instance != b.instance && opposite && is_smooth(texels, &seam) {
                 found.push(seam);
             }
@@ -122,14 +141,20 @@ fn neighbour_edges(triangle: [u32; 3], positions: &[Vec3]) -> [[Vec3; 2]; 3] {
 }
 
 /// Which of `edges` is edge `k` of `triangle`, the other way around.
-fn around_index(edges: &[[Vec3; 2]; 3], triangle: [u32; 3], positions: &[Vec3], k: usize) -> Option<u32> {
+fn around_index(
+    edges: &[[Vec3; 2]; 3],
+    triangle: [u32; 3],
+    positions: &[Vec3],
+    k: usize,
+) -> Option<u32> {
     let [a, b] = neighbour_edges(triangle, positions)[k];
     edges.iter().position(|e| *e == [b, a]).map(|j| j as u32)
 }
 
 /// World positions of an edge's ends.
 fn ends(texels: &Texels, side: Side) -> [Vec3; 2] {
-    let corners = WorldTriangle::new(texels.scene, texels.pose, side.instance, side.primitive).corners;
+    let corners =
+        WorldTriangle::new(texels.scene, texels.pose, side.instance, side.primitive).corners;
     [corners[side.k as usize], corners[(side.k as usize + 1) % 3]]
 }
 
@@ -159,12 +184,14 @@ fn is_smooth(texels: &Texels, [a, b]: &Seam) -> bool {
         let object = texels.pose.normals(texels.scene, side.instance as usize);
         let vertices = texels.scene.meshes[posed.mesh as usize].triangles[side.primitive as usize];
         [side.k, (side.k + 1) % 3].map(|k| {
-            let Some(&n) = object.get(vertices[k as usize] as usize) else { return front };
+            let Some(&n) = object.get(vertices[k as usize] as usize) else {
+                return front;
+            };
             let inverse = posed.world_from_object.matrix3.inverse();
             if !inverse.is_finite() {
                 return front;
             }
-            let n = Vec3::from(inverse.transpose() * n).normalize_or(front);
+            let n = (inverse.transpose() * n).normalize_or(front);
             if n.dot(front) < 0.0 { -n } else { n }
         })
     };
@@ -184,14 +211,21 @@ fn rows(texels: &Texels, starts: &BTreeMap<u32, (usize, u32, u32)>, [a, b]: &Sea
     let on_page = |side: &Side| {
         let (page, corners) = texels.atlas.triangle(side.instance, side.primitive)?;
         let start = starts.get(&page)?;
-        Some((*start, corners[side.k as usize], corners[(side.k as usize + 1) % 3]))
+        Some((
+            *start,
+            corners[side.k as usize],
+            corners[(side.k as usize + 1) % 3],
+        ))
     };
     let (Some((start_a, a0, a1)), Some((start_b, b0, b1))) = (on_page(a), on_page(b)) else {
         return Vec::new();
     };
     let points = (a0.distance(a1).max(b0.distance(b1)).ceil() as u32).clamp(1, 1 << 14);
     let lookup = |(start, width, height): (usize, u32, u32), at: Vec2| {
-        let at = (at - 0.5).clamp(Vec2::ZERO, Vec2::new(width as f32 - 1.0, height as f32 - 1.0));
+        let at = (at - 0.5).clamp(
+            Vec2::ZERO,
+            Vec2::new(width as f32 - 1.0, height as f32 - 1.0),
+        );
         let low = at.floor();
         let f = at - low;
         let (x, y) = (low.x as u32, low.y as u32);
@@ -199,14 +233,22 @@ fn rows(texels: &Texels, starts: &BTreeMap<u32, (usize, u32, u32)>, [a, b]: &Sea
         let index = |x: u32, y: u32| (start + (y * width + x) as usize) as u32;
         (
             [index(x, y), index(x1, y), index(x, y1), index(x1, y1)],
-            [(1.0 - f.x) * (1.0 - f.y), f.x * (1.0 - f.y), (1.0 - f.x) * f.y, f.x * f.y],
+            [
+                (1.0 - f.x) * (1.0 - f.y),
+                f.x * (1.0 - f.y),
+                (1.0 - f.x) * f.y,
+                f.x * f.y,
+            ],
         )
     };
     let row = |i: u32| {
         let t = (i as f32 + 0.5) / points as f32;
         let (ta, wa) = lookup(start_a, a0 + (a1 - a0) * t);
         let (tb, wb) = lookup(start_b, b1 + (b0 - b1) * t);
-        let mut row = Row { texels: [0; 8], weights: [0.0; 8] };
+        let mut row = Row {
+            texels: [0; 8],
+            weights: [0.0; 8],
+        };
         row.texels[..4].copy_from_slice(&ta);
         row.texels[4..].copy_from_slice(&tb);
         row.weights[..4].copy_from_slice(&wa);
@@ -225,12 +267,21 @@ struct System {
 
 impl System {
     fn new(mut rows: Vec<Row>) -> Self {
-        let mut touched: Vec<u32> = rows.iter().flat_map(|r| r.texels.iter().zip(r.weights)).filter(|(_, w)| *w != 0.0).map(|(t, _)| *t).collect();
+        let mut touched: Vec<u32> = rows
+            .iter()
+            .flat_map(|r| r.texels.iter().zip(r.weights))
+            .filter(|(_, w)| *w != 0.0)
+            .map(|(t, _)| *t)
+            .collect();
         touched.par_sort_unstable();
         touched.dedup();
         rows.par_iter_mut().for_each(|row| {
             for (t, w) in row.texels.iter_mut().zip(row.weights) {
-                *t = if w == 0.0 { 0 } else { touched.partition_point(|x| *x < *t) as u32 };
+                *t = if w == 0.0 {
+                    0
+                } else {
+                    touched.partition_point(|x| *x < *t) as u32
+                };
             }
         });
         Self { rows, touched }
@@ -238,7 +289,13 @@ impl System {
 
     /// Differences at the seam points.
     fn differences(&self, x: &[Vec3]) -> Vec<Vec3> {
-        let of = |row: &Row| row.texels.iter().zip(row.weights).map(|(&t, w)| x[t as usize] * w).sum();
+        let of = |row: &Row| {
+            row.texels
+                .iter()
+                .zip(row.weights)
+                .map(|(&t, w)| x[t as usize] * w)
+                .sum()
+        };
         self.rows.par_iter().map(of).collect()
     }
 
@@ -254,13 +311,24 @@ impl System {
     /// Conjugate gradients on `(A^T A + STAY) dx = -A^T A x0` (Hestenes & Stiefel 1952), three channels at once.
     fn solve(&self, canvases: &mut [(u32, Canvas)]) -> Stitched {
         let mut x = self.gather(canvases);
-        let rms = |d: &[Vec3]| (d.iter().map(|d| f64::from(d.length_squared())).sum::<f64>() / (3.0 * d.len().max(1) as f64)).sqrt();
+        let rms = |d: &[Vec3]| {
+            (d.iter().map(|d| f64::from(d.length_squared())).sum::<f64>()
+                / (3.0 * d.len().max(1) as f64))
+                .sqrt()
+        };
         let first = self.differences(&x);
         let mut residual = vec![Vec3::ZERO; x.len()];
-        self.spread(&first.iter().map(|d| -*d).collect::<Vec<_>>(), &mut residual);
+        self.spread(
+            &first.iter().map(|d| -*d).collect::<Vec<_>>(),
+            &mut residual,
+        );
         let mut change = vec![Vec3::ZERO; x.len()];
         let mut direction = residual.clone();
-        let dot = |a: &[Vec3], b: &[Vec3]| a.iter().zip(b).fold(glam::DVec3::ZERO, |s, (a, b)| s + (*a * *b).as_dvec3());
+        let dot = |a: &[Vec3], b: &[Vec3]| {
+            a.iter()
+                .zip(b)
+                .fold(glam::DVec3::ZERO, |s, (a, b)| s + (*a * *b).as_dvec3())
+        };
         let mut square = dot(&residual, &residual);
         let enough = square * 1e-8;
         for _ in 0..MOST_STEPS {
@@ -277,14 +345,23 @@ impl System {
                 break;
             }
             let turn = divide(next, square);
-            direction.iter_mut().zip(&residual).for_each(|(d, r)| *d = *r + *d * turn);
+            direction
+                .iter_mut()
+                .zip(&residual)
+                .for_each(|(d, r)| *d = *r + *d * turn);
             square = next;
         }
         // Light is not negative.
-        x.iter_mut().zip(&change).for_each(|(x, c)| *x = (*x + *c).max(Vec3::ZERO.min(*x)));
+        x.iter_mut()
+            .zip(&change)
+            .for_each(|(x, c)| *x = (*x + *c).max(Vec3::ZERO.min(*x)));
         let after = rms(&self.differences(&x));
         self.scatter(&x, canvases);
-        Stitched { points: self.rows.len() as u64, before: rms(&first), after }
+        Stitched {
+            points: self.rows.len() as u64,
+            before: rms(&first),
+            after,
+        }
     }
 
     fn each(&self, canvases: &mut [(u32, Canvas)], mut visit: impl FnMut(usize, &mut [f32; 3])) {

@@ -158,7 +158,8 @@ impl<'a> Texels<'a> {
 
     /// The piece of a layout that a triangle lies on.
     pub(crate) fn piece(&self, instance: u32, primitive: u32) -> u32 {
-        self.layout(instance).map_or(0, |layout| layout.piece(primitive))
+        self.layout(instance)
+            .map_or(0, |layout| layout.piece(primitive))
     }
 
     /// The covered texels of some rows of a page.

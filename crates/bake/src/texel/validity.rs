@@ -46,27 +46,71 @@ impl Solids {
 /// For every texel of a page the share of its covered part that is outside of all solids; 1 where nothing is covered.
 pub fn validity(geometry: &Geometry, texels: &Texels, solids: &Solids, page: u32) -> Vec<f32> {
     let size = texels.atlas.pages[page as usize];
-    let mut out = vec![1.0; size.texels() as usize];
+    let mut coarse = vec![1.0; size.texels() as usize];
     if solids.is_empty() {
-        return out;
+        return coarse;
     }
-    let rows = (size.width * ROWS) as usize;
-    out.par_chunks_mut(rows).enumerate().for_each(|(k, out)| {
+    let width = size.width as usize;
+    let band = |k: usize| {
         let top = k as u32 * ROWS;
-        let band = texels.band(page, top..(top + ROWS).min(size.height));
-        let all: Vec<u32> = (0..band.len() as u32).collect();
-        let coarse = outside(geometry, texels, solids, &band, &all, FIRST_POINTS);
-        let doubtful: Vec<u32> = all.into_iter().filter(|&i| coarse[i as usize] < 1.0).collect();
-        let fine = outside(geometry, texels, solids, &band, &doubtful, POINTS);
-        for (&i, share) in doubtful.iter().zip(fine) {
-            out[(band.texel(i as usize) - size.texel(0, top)) as usize] = share;
-        }
-    });
-    out
+        texels.band(page, top..(top + ROWS).min(size.height))
+    };
+    coarse
+        .par_chunks_mut(width * ROWS as usize)
+        .enumerate()
+        .for_each(|(k, out)| {
+            let band = band(k);
+            let all: Vec<u32> = (0..band.len() as u32).collect();
+            let found = outside(geometry, texels, solids, &band, &all, FIRST_POINTS);
+            let first = size.texel(0, k as u32 * ROWS);
+            for (i, share) in found.into_iter().enumerate() {
+                out[(band.texel(i) - first) as usize] = share;
+            }
+        });
+    // A border may pass between the first points; then it shows beside them.
+    let doubtful = |x: usize, y: usize| {
+        let rows = y.saturating_sub(1)..(y + 2).min(size.height as usize);
+        let columns = x.saturating_sub(1)..(x + 2).min(width);
+        rows.into_iter().any(|y| {
+            coarse[y * width..][columns.clone()]
+                .iter()
+                .any(|&s| s < 1.0)
+        })
+    };
+    let mut fine = coarse.clone();
+    fine.par_chunks_mut(width * ROWS as usize)
+        .enumerate()
+        .for_each(|(k, out)| {
+            let top = k * ROWS as usize;
+            let near: Vec<usize> = (0..out.len())
+                .filter(|i| doubtful(i % width, top + i / width))
+                .collect();
+            if near.is_empty() {
+                return;
+            }
+            let band = band(k);
+            let first = size.texel(0, top as u32);
+            let local = |i: u32| (band.texel(i as usize) - first) as usize;
+            let wanted: Vec<u32> = (0..band.len() as u32)
+                .filter(|&i| near.binary_search(&local(i)).is_ok())
+                .collect();
+            let found = outside(geometry, texels, solids, &band, &wanted, POINTS);
+            for (&i, share) in wanted.iter().zip(found) {
+                out[local(i)] = share;
+            }
+        });
+    fine
 }
 
 /// The share of points outside, for some texels of a band.
-fn outside(geometry: &Geometry, texels: &Texels, solids: &Solids, band: &Band, wanted: &[u32], points: usize) -> Vec<f32> {
+fn outside(
+    geometry: &Geometry,
+    texels: &Texels,
+    solids: &Solids,
+    band: &Band,
+    wanted: &[u32],
+    points: usize,
+) -> Vec<f32> {
     let mut rays = Vec::with_capacity(wanted.len() * points);
     for &i in wanted {
         for k in 0..points {
@@ -81,7 +125,8 @@ fn outside(geometry: &Geometry, texels: &Texels, solids: &Solids, band: &Band, w
     let inside = |(ray, hit): (&Ray, &Option<Hit>)| {
         let Some(hit) = hit else { return false };
         let mesh = texels.pose.instances[hit.instance as usize].mesh;
-        let front = WorldTriangle::new(texels.scene, texels.pose, hit.instance, hit.primitive).front_cross();
+        let front = WorldTriangle::new(texels.scene, texels.pose, hit.instance, hit.primitive)
+            .front_cross();
         solids.0[mesh as usize] && front.dot(ray.direction) > 0.0
     };
     rays.chunks(points)
@@ -100,5 +145,8 @@ fn ray(texels: &Texels, hit: Hit, k: usize) -> Ray {
     let (x, y) = normal.any_orthonormal_pair();
     let turn = Vec2::from_angle(k as f32 * 2.399_963);
     let direction = normal + (x * turn.x + y * turn.y) * 0.37;
-    Ray::new(offset_along_normal(triangle.point(hit.u, hit.v), normal, triangle.extent()), direction)
+    Ray::new(
+        offset_along_normal(triangle.point(hit.u, hit.v), normal, triangle.extent()),
+        direction,
+    )
 }

@@ -84,6 +84,7 @@ impl Build {
             atlas.rectangles.push(Rectangle {
                 page: 0,
                 offset: UVec2::new(x, 1),
+                block: 0,
             });
             atlas.placements.push(texels.map(|_| Placement {
                 layout: instance as u32,

@@ -232,8 +232,11 @@ fn texel_densities(
 ) -> Vec<(u32, f32)> {
     let mut found = Vec::new();
     for (node, file, entry) in hierarchy.in_file_order(source) {
-        let mesh = entry.mesh.and_then(|m| source.document.meshes.get(m as usize));
-        let of = |extras: &Option<serde_json::Value>| extras.as_ref()?.get("texelsPerMetre").cloned();
+        let mesh = entry
+            .mesh
+            .and_then(|m| source.document.meshes.get(m as usize));
+        let of =
+            |extras: &Option<serde_json::Value>| extras.as_ref()?.get("texelsPerMetre").cloned();
         let Some(wanted) = of(&entry.extras).or_else(|| of(&mesh?.extras)) else {
             continue;
         };

@@ -55,21 +55,37 @@ pub fn write_lit_glb(
     nodes: &[LitNode],
     out: &mut impl Write,
 ) -> Result<Vec<WrittenNode>, WriteError> {
-    let extension = scene.path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    let extension = scene
+        .path
+        .extension()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .to_lowercase();
     if ["gltf", "glb"].contains(&extension.as_str()) {
         return rewrite::write(scene, unfoldings, nodes, out);
     }
     let mut lit = Scene {
         instances: Vec::new(),
-        meshes: unfoldings.iter().map(|u| split(&scene.meshes[u.mesh as usize], u)).collect(),
+        meshes: unfoldings
+            .iter()
+            .map(|u| split(&scene.meshes[u.mesh as usize], u))
+            .collect(),
         ..scene.clone()
     };
     let mut shown: BTreeSet<(u32, u32)> = BTreeSet::new();
     let mut written = Vec::with_capacity(nodes.len());
     for (i, node) in nodes.iter().enumerate() {
         // A node of its own for every block but the first of a node.
-        let first = i == 0 || nodes[..i].iter().rev().take_while(|n| n.node == node.node).count() == 0;
-        let target = if first { node.node } else {
+        let first = i == 0
+            || nodes[..i]
+                .iter()
+                .rev()
+                .take_while(|n| n.node == node.node)
+                .count()
+                == 0;
+        let target = if first {
+            node.node
+        } else {
             lit.nodes.push(Node {
                 name: scene.nodes[node.node as usize].name.clone(),
                 parent: Some(node.node),
@@ -80,21 +96,39 @@ pub fn write_lit_glb(
         for &u in &node.unfoldings {
             let mesh = unfoldings[u as usize].mesh;
             shown.insert((node.node, mesh));
-            let places = scene.instances.iter().filter(|i| i.node == node.node && i.mesh == mesh);
+            let places = scene
+                .instances
+                .iter()
+                .filter(|i| i.node == node.node && i.mesh == mesh);
             if let Some(place) = places.clone().nth(node.occurrence as usize) {
-                lit.instances.push(Instance { mesh: u, node: target, ..*place });
+                lit.instances.push(Instance {
+                    mesh: u,
+                    node: target,
+                    ..*place
+                });
             }
         }
-        written.push(WrittenNode { node: target, instance: None });
+        written.push(WrittenNode {
+            node: target,
+            instance: None,
+        });
     }
     // What is not lit stays as it is.
     let mut copies: BTreeMap<u32, u32> = BTreeMap::new();
-    for instance in scene.instances.iter().filter(|i| !shown.contains(&(i.node, i.mesh))) {
+    for instance in scene
+        .instances
+        .iter()
+        .filter(|i| !shown.contains(&(i.node, i.mesh)))
+    {
         let copy = *copies.entry(instance.mesh).or_insert_with(|| {
-            lit.meshes.push(scene.meshes[instance.mesh as usize].clone());
+            lit.meshes
+                .push(scene.meshes[instance.mesh as usize].clone());
             lit.meshes.len() as u32 - 1
         });
-        lit.instances.push(Instance { mesh: copy, ..*instance });
+        lit.instances.push(Instance {
+            mesh: copy,
+            ..*instance
+        });
     }
     write_glb(&lit, out)?;
     Ok(written)
@@ -104,7 +138,11 @@ pub fn write_lit_glb(
 fn split(mesh: &Mesh, unfolding: &Unfolding) -> Mesh {
     let split = rewrite::split(&mesh.triangles, &*unfolding.uv);
     fn pick<T: Copy>(values: &[T], vertices: &[u32]) -> Vec<T> {
-        if values.is_empty() { Vec::new() } else { vertices.iter().map(|&v| values[v as usize]).collect() }
+        if values.is_empty() {
+            Vec::new()
+        } else {
+            vertices.iter().map(|&v| values[v as usize]).collect()
+        }
     }
     let vertices = &split.vertices;
     Mesh {

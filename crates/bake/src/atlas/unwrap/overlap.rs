@@ -13,6 +13,14 @@ pub(super) fn overlaps(
     corners: impl Iterator<Item = [Vec2; 3]> + Clone,
     cells_per_unit: f32,
 ) -> bool {
+    overlap_of(corners, cells_per_unit).is_some()
+}
+
+/// The number of the first triangle that lies on one before it.
+pub(crate) fn overlap_of(
+    corners: impl Iterator<Item = [Vec2; 3]> + Clone,
+    cells_per_unit: f32,
+) -> Option<usize> {
     let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
     for corner in corners.clone().flatten() {
         low = low.min(corner.as_dvec2());

@@ -7,6 +7,9 @@
 //!
 //! A `TEXCOORD_1` that is there already becomes the next free set, and materials that use it follow.
 
+mod split;
+mod unused;
+
 use super::accessor::{Accessor, Component, Shape};
 use super::document::Primitive;
 use super::source::Source;
@@ -14,29 +17,20 @@ use super::{draco, geometry};
 use crate::input::Budget;
 use crate::write::container;
 use crate::{LitNode, Scene, Unfolding, WriteError, WrittenNode};
-use glam::Vec2;
 use serde_json::{Map, Value, json};
+pub(crate) use split::split;
 use std::borrow::Cow;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::io::Write;
 
 type Result<T> = std::result::Result<T, WriteError>;
 
-/// Extensions whose references to accessors, views and materials are known here. Where a file uses others, nothing is thrown away or
-/// renumbered.
-const KNOWN: &[&str] = &[
-    "EXT_mesh_gpu_instancing",
-    "EXT_meshopt_compression",
-    "EXT_texture_webp",
-    "KHR_draco_mesh_compression",
-    "KHR_lights_punctual",
-    "KHR_mesh_quantization",
-    "KHR_texture_basisu",
-    "KHR_texture_transform",
-];
-
 /// Compression that the output does without.
-const UNPACKED: [&str; 3] = ["EXT_meshopt_compression", "KHR_draco_mesh_compression", "KHR_meshopt_compression"];
+const UNPACKED: [&str; 3] = [
+    "EXT_meshopt_compression",
+    "KHR_draco_mesh_compression",
+    "KHR_meshopt_compression",
+];
 
 /// Key of a view's index in the source while the document is edited.
 const OLD: &str = "occlude old view";
@@ -68,7 +62,7 @@ pub(crate) fn write(
     }
     let written = rewrite.nodes(nodes)?;
     rewrite.images();
-    rewrite.forget_unused();
+    unused::forget_unused(&mut rewrite.root);
     rewrite.gather_views()?;
     let bytes = rewrite.bytes;
     container(&rewrite.root, bytes, &rewrite.binary, out)?;
@@ -143,13 +137,28 @@ impl<'a> Rewrite<'a> {
     fn nodes(&mut self, nodes: &[LitNode]) -> Result<Vec<WrittenNode>> {
         let mut of_node: BTreeMap<u32, BTreeMap<u32, Vec<usize>>> = BTreeMap::new();
         for (i, lit) in nodes.iter().enumerate() {
-            of_node.entry(lit.node).or_default().entry(lit.occurrence).or_default().push(i);
+            of_node
+                .entry(lit.node)
+                .or_default()
+                .entry(lit.occurrence)
+                .or_default()
+                .push(i);
         }
         let mut written = vec![WrittenNode::default(); nodes.len()];
         for (node, places) in of_node {
-            let file = self.scene.contents.file_nodes.get(node as usize).copied().unwrap_or(node) as usize;
-            let Some(entry) = self.source.document.nodes.get(file) else { continue };
-            let Some(mesh) = entry.mesh.map(|m| m as usize) else { continue };
+            let file = self
+                .scene
+                .contents
+                .file_nodes
+                .get(node as usize)
+                .copied()
+                .unwrap_or(node) as usize;
+            let Some(entry) = self.source.document.nodes.get(file) else {
+                continue;
+            };
+            let Some(mesh) = entry.mesh.map(|m| m as usize) else {
+                continue;
+            };
             let instances = self.instances(entry);
             let groups = self.groups(mesh, &places, instances.unwrap_or(1), nodes);
             let alone = groups.len() == 1;
@@ -166,7 +175,10 @@ impl<'a> Rewrite<'a> {
                 }
                 for (k, &(_, lit)) in members.iter().enumerate() {
                     let Some(i) = lit else { continue };
-                    written[i] = WrittenNode { node: target as u32, instance: instances.map(|_| k as u32) };
+                    written[i] = WrittenNode {
+                        node: target as u32,
+                        instance: instances.map(|_| k as u32),
+                    };
                     if instances.is_none() {
                         self.note(target, &nodes[i].extras);
                     }
@@ -190,7 +202,12 @@ impl<'a> Rewrite<'a> {
         count: u32,
         nodes: &[LitNode],
     ) -> BTreeMap<MeshKey, Vec<(u32, Option<usize>)>> {
-        let primitives = self.source.document.meshes.get(mesh).map_or(0, |m| m.primitives.len());
+        let primitives = self
+            .source
+            .document
+            .meshes
+            .get(mesh)
+            .map_or(0, |m| m.primitives.len());
         let mut groups: BTreeMap<MeshKey, Vec<(u32, Option<usize>)>> = BTreeMap::new();
         for place in 0..count {
             let lit = places.get(&place).map_or(&[][..], Vec::as_slice);
@@ -205,13 +222,20 @@ impl<'a> Rewrite<'a> {
                 continue;
             }
             for (k, &i) in lit.iter().enumerate() {
-                let mut slots = if k == 0 { first.clone() } else { vec![Slot::Hidden; primitives] };
+                let mut slots = if k == 0 {
+                    first.clone()
+                } else {
+                    vec![Slot::Hidden; primitives]
+                };
                 for &u in &nodes[i].unfoldings {
                     if let Some(slot) = slots.get_mut(self.origin(u)[1] as usize) {
                         *slot = Slot::New(u);
                     }
                 }
-                groups.entry((mesh, slots)).or_default().push((place, Some(i)));
+                groups
+                    .entry((mesh, slots))
+                    .or_default()
+                    .push((place, Some(i)));
             }
         }
         groups
@@ -228,7 +252,12 @@ impl<'a> Rewrite<'a> {
     /// The file's mesh and primitive behind an unfolding.
     fn origin(&self, unfolding: u32) -> [u32; 2] {
         let mesh = self.unfoldings[unfolding as usize].mesh;
-        self.scene.contents.file_meshes.get(mesh as usize).copied().unwrap_or([u32::MAX; 2])
+        self.scene
+            .contents
+            .file_meshes
+            .get(mesh as usize)
+            .copied()
+            .unwrap_or([u32::MAX; 2])
     }
 
     fn child(&mut self, parent: usize) -> usize {
@@ -253,7 +282,11 @@ impl<'a> Rewrite<'a> {
         if !node["extras"].is_object() {
             // Extras may be anything; what is no object is kept beside ours.
             let old = node["extras"].take();
-            node["extras"] = if old.is_null() { json!({}) } else { json!({"extras": old}) };
+            node["extras"] = if old.is_null() {
+                json!({})
+            } else {
+                json!({"extras": old})
+            };
         }
         node["extras"]["lightmap"] = extras.clone();
     }
@@ -276,16 +309,24 @@ impl<'a> Rewrite<'a> {
             let mut accessor = u64::from(index);
             if filter {
                 let (bytes, size) = self.elements(index, name)?;
-                let of = |place: u32| bytes.get(place as usize * size..(place as usize + 1) * size).unwrap_or(&[]);
+                let of = |place: u32| {
+                    bytes
+                        .get(place as usize * size..(place as usize + 1) * size)
+                        .unwrap_or(&[])
+                };
                 let kept = members.iter().flat_map(|m| of(m.0)).copied().collect();
                 accessor = self.like(index, kept, members.len(), None, false);
             }
             attributes.insert(name.clone(), accessor.into());
         }
         if members.iter().any(|m| m.1.is_some()) {
-            let rectangle = |m: &(u32, Option<usize>)| m.1.map_or([-1.0, 0.0, 0.0, 0.0, 0.0], |i| nodes[i].rectangle);
+            let rectangle = |m: &(u32, Option<usize>)| {
+                m.1.map_or([-1.0, 0.0, 0.0, 0.0, 0.0], |i| nodes[i].rectangle)
+            };
             let bytes = |range: std::ops::Range<usize>| {
-                let floats = members.iter().flat_map(|m| rectangle(m)[range.clone()].to_vec());
+                let floats = members
+                    .iter()
+                    .flat_map(|m| rectangle(m)[range.clone()].to_vec());
                 floats.flat_map(f32::to_le_bytes).collect::<Vec<u8>>()
             };
             for (name, kind, bytes) in [
@@ -297,12 +338,14 @@ impl<'a> Rewrite<'a> {
                 attributes.insert(name.into(), accessor.into());
             }
         }
-        self.list("nodes")[to]["extensions"]["EXT_mesh_gpu_instancing"] = json!({"attributes": attributes});
+        self.list("nodes")[to]["extensions"]["EXT_mesh_gpu_instancing"] =
+            json!({"attributes": attributes});
         Ok(())
     }
 
     fn accessor(&mut self, view: u64, component: u32, count: usize, kind: &str) -> u64 {
-        let accessor = json!({"bufferView": view, "componentType": component, "count": count, "type": kind});
+        let accessor =
+            json!({"bufferView": view, "componentType": component, "count": count, "type": kind});
         self.append("accessors", accessor)
     }
 
@@ -345,18 +388,26 @@ impl<'a> Rewrite<'a> {
             None => None,
         };
         let triangles = geometry::kept_triangles(source, entry, decoded.as_ref(), &place)?;
-        let wanted = self.scene.meshes[self.unfoldings[unfolding as usize].mesh as usize].triangles.len();
+        let wanted = self.scene.meshes[self.unfoldings[unfolding as usize].mesh as usize]
+            .triangles
+            .len();
         if triangles.len() != wanted {
-            return Err(WriteError::Changed { path: source.path.clone() });
+            return Err(WriteError::Changed {
+                path: source.path.clone(),
+            });
         }
         let split = split(&triangles, &*self.unfoldings[unfolding as usize].uv);
 
         let mut json = old.clone();
         let mut attributes = Map::new();
-        let moved = entry.attributes.contains_key("TEXCOORD_1").then(|| free_set(entry));
+        let moved = entry
+            .attributes
+            .contains_key("TEXCOORD_1")
+            .then(|| free_set(entry));
         for (name, &index) in &entry.attributes {
             let stream = decoded.as_ref().and_then(|d| d.accessor(name));
-            let accessor = self.gathered(index, stream, name, &split.vertices, name == "POSITION")?;
+            let accessor =
+                self.gathered(index, stream, name, &split.vertices, name == "POSITION")?;
             let name = match (name.as_str(), moved) {
                 ("TEXCOORD_1", Some(set)) => format!("TEXCOORD_{set}"),
                 (name, _) => name.to_string(),
@@ -378,7 +429,8 @@ impl<'a> Rewrite<'a> {
             for target in &entry.targets {
                 let mut attributes = Map::new();
                 for (name, &index) in target {
-                    let accessor = self.gathered(index, None, name, &split.vertices, name == "POSITION")?;
+                    let accessor =
+                        self.gathered(index, None, name, &split.vertices, name == "POSITION")?;
                     attributes.insert(name.clone(), accessor.into());
                 }
                 targets.push(Value::Object(attributes));
@@ -392,11 +444,17 @@ impl<'a> Rewrite<'a> {
 
     /// Gives the primitive a material that reads its old second UV set under the new number.
     fn move_textures(&mut self, entry: &Primitive, set: u32, json: &mut Value) {
-        let Some(material) = entry.material else { return };
+        let Some(material) = entry.material else {
+            return;
+        };
         let known = self.materials.get(&(material, set)).copied();
         let index = known.unwrap_or_else(|| {
             let mut copy = self.root["materials"][material as usize].clone();
-            let index = if renumber_sets(&mut copy, set) { self.append("materials", copy) } else { u64::from(material) };
+            let index = if renumber_sets(&mut copy, set) {
+                self.append("materials", copy)
+            } else {
+                u64::from(material)
+            };
             self.materials.insert((material, set), index);
             index
         });
@@ -408,7 +466,9 @@ impl<'a> Rewrite<'a> {
         let short = vertices < usize::from(u16::MAX);
         let flat = triangles.as_flattened();
         let bytes = if short {
-            flat.iter().flat_map(|&i| (i as u16).to_le_bytes()).collect()
+            flat.iter()
+                .flat_map(|&i| (i as u16).to_le_bytes())
+                .collect()
         } else {
             bytemuck::cast_slice(flat).to_vec()
         };
@@ -424,9 +484,20 @@ impl<'a> Rewrite<'a> {
     }
 
     /// A new accessor of these elements of an old one (or of what a decoder made of it).
-    fn gathered(&mut self, index: u32, stream: Option<Accessor>, name: &str, vertices: &[u32], bounds: bool) -> Result<u64> {
+    fn gathered(
+        &mut self,
+        index: u32,
+        stream: Option<Accessor>,
+        name: &str,
+        vertices: &[u32],
+        bounds: bool,
+    ) -> Result<u64> {
         let (bytes, size, component) = match &stream {
-            Some(a) => (a.elements(), a.size(), Some((a.component, a.component.code()))),
+            Some(a) => (
+                a.elements(),
+                a.size(),
+                Some((a.component, a.component.code())),
+            ),
             None => {
                 let (bytes, size) = self.elements(index, name)?;
                 (bytes, size, None)
@@ -440,9 +511,18 @@ impl<'a> Rewrite<'a> {
                 to[..size].copy_from_slice(from);
             }
         }
-        let code = self.source.document.accessors.get(index as usize).map_or(5126, |a| a.component_type);
-        let kind = component.map(|c| c.0).or_else(|| Component::from_code(code));
-        let limits = kind.filter(|_| bounds).map(|kind| limits(&out, stride, size, kind));
+        let code = self
+            .source
+            .document
+            .accessors
+            .get(index as usize)
+            .map_or(5126, |a| a.component_type);
+        let kind = component
+            .map(|c| c.0)
+            .or_else(|| Component::from_code(code));
+        let limits = kind
+            .filter(|_| bounds)
+            .map(|kind| limits(&out, stride, size, kind));
         let strided = (stride != size).then_some(stride);
         let accessor = self.like(index, out, vertices.len(), strided, true);
         let list = self.list("accessors");
@@ -459,7 +539,14 @@ impl<'a> Rewrite<'a> {
     }
 
     /// A copy of an accessor with bytes of its own.
-    fn like(&mut self, index: u32, bytes: Vec<u8>, count: usize, stride: Option<usize>, vertices: bool) -> u64 {
+    fn like(
+        &mut self,
+        index: u32,
+        bytes: Vec<u8>,
+        count: usize,
+        stride: Option<usize>,
+        vertices: bool,
+    ) -> u64 {
         let view = self.view(bytes, stride, vertices.then_some(34962));
         let mut json = self.root["accessors"][index as usize].clone();
         for key in ["sparse", "min", "max", "byteOffset"] {
@@ -474,11 +561,21 @@ impl<'a> Rewrite<'a> {
     fn images(&mut self) {
         let source = self.source;
         for i in 0..source.document.images.len() {
-            let Some(uri) = &source.document.images[i].uri else { continue };
+            let Some(uri) = &source.document.images[i].uri else {
+                continue;
+            };
             let mut budget = Budget::new(&source.path, None);
-            let Ok(bytes) = source.read_uri(uri, "image", &mut budget) else { continue };
-            let Some(kind) = mime_type(&bytes) else { continue };
-            let name = uri.rsplit(['/', '\\']).next().filter(|_| !uri.starts_with("data:")).map(str::to_string);
+            let Ok(bytes) = source.read_uri(uri, "image", &mut budget) else {
+                continue;
+            };
+            let Some(kind) = mime_type(&bytes) else {
+                continue;
+            };
+            let name = uri
+                .rsplit(['/', '\\'])
+                .next()
+                .filter(|_| !uri.starts_with("data:"))
+                .map(str::to_string);
             let view = self.view(bytes.into_owned(), None, None);
             let image = &mut self.list("images")[i];
             remove(image, "uri");
@@ -490,102 +587,20 @@ impl<'a> Rewrite<'a> {
         }
     }
 
-    /// Drops accessors, views and meshes that nothing refers to any more, if every reference is known.
-    fn forget_unused(&mut self) {
-        for key in ["extensionsUsed", "extensionsRequired"] {
-            if let Some(list) = self.root.get_mut(key).and_then(Value::as_array_mut) {
-                list.retain(|name| !UNPACKED.iter().any(|u| name == u));
-                if list.is_empty() {
-                    remove(&mut self.root, key);
-                }
-            }
-        }
-        let known = self.root["extensionsUsed"].as_array().is_none_or(|used| {
-            used.iter().all(|name| name.as_str().is_some_and(|n| KNOWN.contains(&n) || n.starts_with("KHR_materials_")))
-        });
-        if self.root["extensionsUsed"].is_null() {
-            remove(&mut self.root, "extensionsUsed");
-        }
-        if !known {
-            return;
-        }
-        self.compact("meshes", &|root, visit| {
-            each(root, "nodes", &mut |node| reference(node, "mesh", visit));
-        });
-        self.compact("accessors", &|root, visit| {
-            each(root, "meshes", &mut |mesh| {
-                each(mesh, "primitives", &mut |p| {
-                    reference(p, "indices", visit);
-                    references(p, "attributes", visit);
-                    each(p, "targets", &mut |t| all(t, visit));
-                });
-            });
-            each(root, "skins", &mut |s| reference(s, "inverseBindMatrices", visit));
-            each(root, "animations", &mut |a| {
-                each(a, "samplers", &mut |s| {
-                    reference(s, "input", visit);
-                    reference(s, "output", visit);
-                });
-            });
-            each(root, "nodes", &mut |n| {
-                if let Some(e) = n.get_mut("extensions").and_then(|e| e.get_mut("EXT_mesh_gpu_instancing")) {
-                    references(e, "attributes", visit);
-                }
-            });
-        });
-        self.compact("bufferViews", &|root, visit| {
-            each(root, "accessors", &mut |a| {
-                reference(a, "bufferView", visit);
-                if let Some(sparse) = a.get_mut("sparse") {
-                    for key in ["indices", "values"] {
-                        if let Some(part) = sparse.get_mut(key) {
-                            reference(part, "bufferView", visit);
-                        }
-                    }
-                }
-            });
-            each(root, "images", &mut |i| reference(i, "bufferView", visit));
-            each(root, "meshes", &mut |mesh| {
-                each(mesh, "primitives", &mut |p| {
-                    if let Some(d) = p.get_mut("extensions").and_then(|e| e.get_mut("KHR_draco_mesh_compression")) {
-                        reference(d, "bufferView", visit);
-                    }
-                });
-            });
-        });
-    }
-
-    /// Removes the entries of a list that `walk` does not come across, and gives the others new numbers.
-    fn compact(&mut self, key: &str, walk: &dyn Fn(&mut Value, &mut dyn FnMut(&mut Value))) {
-        let mut used = BTreeSet::new();
-        walk(&mut self.root, &mut |index| {
-            used.extend(index.as_u64());
-        });
-        let count = self.root[key].as_array().map_or(0, Vec::len) as u64;
-        let number: BTreeMap<u64, u64> = used.iter().copied().filter(|&i| i < count).zip(0..).collect();
-        walk(&mut self.root, &mut |index| {
-            if let Some(new) = index.as_u64().and_then(|i| number.get(&i)) {
-                *index = (*new).into();
-            }
-        });
-        if let Some(list) = self.root.get_mut(key).and_then(Value::as_array_mut) {
-            let mut i = 0;
-            list.retain(|_| {
-                i += 1;
-                number.contains_key(&(i - 1))
-            });
-            if list.is_empty() {
-                remove(&mut self.root, key);
-            }
-        }
-    }
-
     /// Brings the bytes of the old views behind the new ones, uncompressed.
     fn gather_views(&mut self) -> Result<()> {
         let source = self.source;
-        let mut views = self.root.get_mut("bufferViews").map(Value::take).unwrap_or_default();
+        let mut views = self
+            .root
+            .get_mut("bufferViews")
+            .map(Value::take)
+            .unwrap_or_default();
         for view in views.as_array_mut().into_iter().flatten() {
-            let Some(old) = view.as_object_mut().and_then(|v| v.remove(OLD)).and_then(|i| i.as_u64()) else {
+            let Some(old) = view
+                .as_object_mut()
+                .and_then(|v| v.remove(OLD))
+                .and_then(|i| i.as_u64())
+            else {
                 continue;
             };
             let bytes = source.view(old as u32, "")?.bytes;
@@ -606,48 +621,11 @@ impl<'a> Rewrite<'a> {
     }
 }
 
-/// Vertices of a primitive after the split.
-pub(crate) struct Split {
-    /// The old vertex behind each.
-    pub vertices: Vec<u32>,
-    pub uv: Vec<Vec2>,
-    pub triangles: Vec<[u32; 3]>,
-}
-
-/// Gives every corner its UV; vertices of several UVs become several.
-pub(crate) fn split(triangles: &[[u32; 3]], uv_of: &dyn Fn(u32) -> Option<[Vec2; 3]>) -> Split {
-    const NONE: u32 = u32::MAX;
-    let old = triangles.as_flattened().iter().max().map_or(0, |&v| v as usize + 1);
-    // A chain of the copies of each vertex.
-    let mut first = vec![NONE; old];
-    let mut next: Vec<u32> = Vec::new();
-    let mut split = Split { vertices: Vec::new(), uv: Vec::new(), triangles: Vec::with_capacity(triangles.len()) };
-    for (t, corners) in triangles.iter().enumerate() {
-        let Some(uv) = uv_of(t as u32) else { continue };
-        let mut triangle = [0; 3];
-        for k in 0..3 {
-            let vertex = corners[k];
-            let mut copy = first[vertex as usize];
-            while copy != NONE && split.uv[copy as usize].to_array().map(f32::to_bits) != uv[k].to_array().map(f32::to_bits) {
-                copy = next[copy as usize];
-            }
-            if copy == NONE {
-                copy = split.vertices.len() as u32;
-                split.vertices.push(vertex);
-                split.uv.push(uv[k]);
-                next.push(first[vertex as usize]);
-                first[vertex as usize] = copy;
-            }
-            triangle[k] = copy;
-        }
-        split.triangles.push(triangle);
-    }
-    split
-}
-
 /// The first UV set after the second that the primitive does not use.
 fn free_set(entry: &Primitive) -> u32 {
-    (2..).find(|set| !entry.attributes.contains_key(&format!("TEXCOORD_{set}"))).unwrap_or(2)
+    (2..)
+        .find(|set| !entry.attributes.contains_key(&format!("TEXCOORD_{set}")))
+        .unwrap_or(2)
 }
 
 /// Lets textures of set 1 read another. `false` if there are none.
@@ -666,13 +644,20 @@ fn renumber_sets(material: &mut Value, set: u32) -> bool {
             }
             found
         }
-        Value::Array(list) => list.iter_mut().fold(false, |found, v| found | renumber_sets(v, set)),
+        Value::Array(list) => list
+            .iter_mut()
+            .fold(false, |found, v| found | renumber_sets(v, set)),
         _ => false,
     }
 }
 
 /// Smallest and largest stored value of each component.
-fn limits(bytes: &[u8], stride: usize, size: usize, component: Component) -> (Vec<Value>, Vec<Value>) {
+fn limits(
+    bytes: &[u8],
+    stride: usize,
+    size: usize,
+    component: Component,
+) -> (Vec<Value>, Vec<Value>) {
     let width = component.size();
     let number = |b: &[u8]| match (component, b) {
         (Component::I8, &[a, ..]) => f64::from(a as i8),
@@ -699,7 +684,21 @@ fn mime_type(bytes: &[u8]) -> Option<&'static str> {
     match bytes {
         [0x89, b'P', b'N', b'G', ..] => Some("image/png"),
         [0xff, 0xd8, ..] => Some("image/jpeg"),
-        [b'R', b'I', b'F', b'F', _, _, _, _, b'W', b'E', b'B', b'P', ..] => Some("image/webp"),
+        [
+            b'R',
+            b'I',
+            b'F',
+            b'F',
+            _,
+            _,
+            _,
+            _,
+            b'W',
+            b'E',
+            b'B',
+            b'P',
+            ..,
+        ] => Some("image/webp"),
         [0xab, b'K', b'T', b'X', ..] => Some("image/ktx2"),
         _ => None,
     }
@@ -715,29 +714,7 @@ fn forget_extensions(value: &mut Value, names: &[&str]) {
 }
 
 fn remove(value: &mut Value, key: &str) -> bool {
-    value.as_object_mut().is_some_and(|map| map.remove(key).is_some())
-}
-
-fn each(value: &mut Value, key: &str, visit: &mut dyn FnMut(&mut Value)) {
-    if let Some(list) = value.get_mut(key).and_then(Value::as_array_mut) {
-        list.iter_mut().for_each(visit);
-    }
-}
-
-fn reference(value: &mut Value, key: &str, visit: &mut dyn FnMut(&mut Value)) {
-    if let Some(index) = value.get_mut(key) {
-        visit(index);
-    }
-}
-
-fn references(value: &mut Value, key: &str, visit: &mut dyn FnMut(&mut Value)) {
-    if let Some(map) = value.get_mut(key) {
-        all(map, visit);
-    }
-}
-
-fn all(value: &mut Value, visit: &mut dyn FnMut(&mut Value)) {
-    if let Some(map) = value.as_object_mut() {
-        map.values_mut().for_each(visit);
-    }
+    value
+        .as_object_mut()
+        .is_some_and(|map| map.remove(key).is_some())
 }
