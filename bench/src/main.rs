@@ -3,6 +3,7 @@
 //! `cargo run --release -p bench -- SUITE [--quick] [--scenes DIR] [--out DIR]`; see `bench/README.md`.
 
 mod common;
+mod dynamic;
 mod pictures;
 mod quantized;
 mod rays;
@@ -60,6 +61,8 @@ enum Suite {
     ManyLights,
     /// Quantized visibility against exact rays: time, rays, error.
     Quantized,
+    /// Fields of visibility on moving scenes: rays, times, errors.
+    Dynamic,
 }
 
 fn main() -> ExitCode {
@@ -82,6 +85,7 @@ fn main() -> ExitCode {
         Suite::Pictures => pictures::run(&setting),
         Suite::ManyLights => pictures::many_lights::run(&setting),
         Suite::Quantized => quantized::run(&setting),
+        Suite::Dynamic => dynamic::run(&setting),
     };
     match report.write(&arguments.out) {
         Ok(()) => {

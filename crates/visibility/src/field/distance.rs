@@ -21,9 +21,9 @@ const STEP: f32 = PI / i16::MAX as f32;
 impl DistanceField {
     #[inline(always)]
     pub(super) fn encode(distance: f32) -> i16 {
-        // Half away from zero, without a call to the system's rounding.
-        let scaled = distance * (1.0 / STEP);
-        (scaled + 0.5_f32.copysign(scaled)) as i16
+        // Adding a large number rounds and leaves the whole number in the lowest bits: no conversion that checks its range.
+        const MAGIC: f32 = 12_582_912.0;
+        (distance * (1.0 / STEP) + MAGIC).to_bits() as i16
     }
 
     /// Its numbers, row after row, once it has `side` texels along a side.
@@ -87,17 +87,22 @@ impl DistanceField {
             rows[k] = (theta * scale - 0.5).clamp(0.0, last);
             columns[k] = (phi * scale - 0.5).clamp(0.0, last);
         }
-        let mut out = [0.0; 8];
+        let (mut at, mut u, mut v) = ([0_u32; 8], [0.0; 8], [0.0; 8]);
         for k in 0..8 {
             let (row, column) = (truncate(rows[k]), truncate(columns[k]));
-            let (v, u) = (rows[k] - row as f32, columns[k] - column as f32);
-            let at = row as usize * side + column as usize;
-            let pair = |at: usize| {
-                let a = f32::from(self.values[at]);
-                a + (f32::from(self.values[at + 1]) - a) * u
+            (v[k], u[k]) = (rows[k] - row as f32, columns[k] - column as f32);
+            at[k] = row * self.side + column;
+        }
+        let upper = self.pairs(&at, 0);
+        let lower = self.pairs(&at, side);
+        let mut out = [0.0; 8];
+        for k in 0..8 {
+            let blend = |pair: u32| {
+                let (a, b) = ((pair << 16) as i32 >> 16, pair as i32 >> 16);
+                a as f32 + (b - a) as f32 * u[k]
             };
-            let (upper, lower) = (pair(at), pair(at + side));
-            let inside = (upper + (lower - upper) * v) * STEP;
+            let (upper, lower) = (blend(upper[k]), blend(lower[k]));
+            let inside = (upper + (lower - upper) * v[k]) * STEP;
             let inside = if below[k] < 0.0 {
                 inside.min(0.0)
             } else {
@@ -106,6 +111,19 @@ impl DistanceField {
             out[k] = inside + below[k];
         }
         out
+    }
+
+    /// The numbers at these places and after them, the first in the low half.
+    #[inline(always)]
+    fn pairs(&self, at: &[u32; 8], behind: usize) -> [u32; 8] {
+        let values = &self.values[behind..];
+        std::array::from_fn(|k| {
+            let at = at[k] as usize;
+            match values.get(at..at + 2) {
+                Some(pair) => u32::from(pair[0] as u16) | u32::from(pair[1] as u16) << 16,
+                None => 0,
+            }
+        })
     }
 
     fn inside(&self, local: Vec3) -> f32 {

@@ -9,7 +9,7 @@
 //! What no ray of the coarse grid, no boundary and no other map has met is missed: specks smaller than a texel of the first level.
 
 use super::hemisphere::{Grid, Hemisphere};
-use super::map::VisibilityMap;
+use super::map::{VisibilityMap, words_a_row};
 use crate::{Ray, Tracer};
 use glam::Vec3;
 
@@ -40,32 +40,49 @@ pub struct Hint<'a> {
     pub hemisphere: Hemisphere,
 }
 
-/// What is known of a texel.
-mod texel {
-    pub(super) const FREE: u8 = 1;
-    pub(super) const TRACED: u8 = 2;
-    pub(super) const WAITING: u8 = 4;
-}
-
 /// Samples maps; keeps its scratch space from one to the next.
 #[derive(Debug, Default)]
 pub struct MapSampler {
-    cells: Vec<u8>,
-    finer: Vec<u8>,
+    /// One bit a texel of the level at hand, rows in whole words: free, or taken over as free.
+    free: Vec<u64>,
+    /// A ray says so.
+    traced: Vec<u64>,
+    /// To be traced next.
+    wanted: Vec<u64>,
+    finer: Vec<u64>,
     queue: Vec<(u16, u16)>,
-    next: Vec<(u16, u16)>,
     rays: Vec<Ray>,
     answers: Vec<bool>,
-    traced: u64,
+    count: u64,
 }
 
-/// Side of the square blocks that rays are grouped by: neighbours in a batch run alike.
-const BLOCK: usize = 8;
+/// How the bits of a level lie in words.
+#[derive(Clone, Copy, Debug)]
+struct Layout {
+    side: usize,
+    words: usize,
+    /// The bits of a row's last word that are texels.
+    last: u64,
+}
+
+impl Layout {
+    fn of(side: usize) -> Self {
+        Self {
+            side,
+            words: words_a_row(side as u32),
+            last: if side < 64 { (1 << side) - 1 } else { u64::MAX },
+        }
+    }
+
+    fn len(&self) -> usize {
+        self.side * self.words
+    }
+}
 
 impl MapSampler {
     /// Rays traced so far.
     pub fn traced(&self) -> u64 {
-        self.traced
+        self.count
     }
 
     /// Samples the map of a point. `origin` is off the surface already.
@@ -82,95 +99,130 @@ impl MapSampler {
     ) -> VisibilityMap {
         let MapSampling { start, resolution } = sampling;
         assert!(start.is_power_of_two() && start <= resolution);
-        let mut map = VisibilityMap::new(resolution, false);
-        let mut side = start as usize;
-        self.cells.clear();
-        self.cells.resize(side * side, 0);
-        self.queue_all(side);
-        self.trace(tracer, origin, hemisphere, side);
-        while side < resolution as usize {
-            self.refine(side);
-            side *= 2;
-            self.queue_boundaries(side);
-            if side == resolution as usize {
-                self.queue_hints(side, hemisphere, hints);
-            }
-            while !self.queue.is_empty() {
-                self.trace(tracer, origin, hemisphere, side);
-                self.queue_neighbours(side);
-            }
+        let end = resolution as usize;
+        let mut layout = Layout::of(start as usize);
+        self.begin(layout);
+        for row in self.wanted.chunks_exact_mut(layout.words) {
+            row.fill(u64::MAX);
+            row[layout.words - 1] = layout.last;
         }
-        for (row, cells) in self.cells.chunks_exact(side).enumerate() {
-            for (column, cell) in cells.iter().enumerate() {
-                if cell & texel::FREE != 0 {
-                    map.set(row, column, true);
-                }
+        self.trace(tracer, origin, hemisphere, layout);
+        while layout.side < end {
+            self.refine(layout);
+            layout = Layout::of(layout.side * 2);
+            self.want_boundaries(layout, false);
+            if layout.side == end {
+                self.want_hints(layout, hemisphere, hints);
             }
+            self.settle(tracer, origin, hemisphere, layout);
         }
-        map
+        self.map(resolution)
     }
 
-    fn queue_all(&mut self, side: usize) {
-        // Eight rays at a time from patches of 4 by 2 texels.
-        self.queue.clear();
-        for row in (0..side).step_by(2) {
-            for column in (0..side).step_by(4) {
-                for k in 0..8 {
-                    self.queue
-                        .push(((row + k / 4) as u16, (column + k % 4) as u16));
-                }
+    /// Samples a map anew that is known from a moment ago: its boundaries are traced, those of the hints, and a grid of texels as coarse as
+    /// `sampling.start`; where rays contradict it, boundaries are followed to where they are now.
+    ///
+    /// # Panics
+    /// As [`sample`](Self::sample); and if `before` has another resolution.
+    pub fn sample_again(
+        &mut self,
+        tracer: &impl Tracer,
+        origin: Vec3,
+        hemisphere: &Hemisphere,
+        sampling: MapSampling,
+        before: &VisibilityMap,
+        hints: &[Hint],
+    ) -> VisibilityMap {
+        let MapSampling { start, resolution } = sampling;
+        assert!(start.is_power_of_two() && start <= resolution);
+        assert_eq!(before.side(), resolution);
+        let layout = Layout::of(resolution as usize);
+        self.begin(layout);
+        self.free.copy_from_slice(before.words());
+        self.want_boundaries(layout, false);
+        let step = (resolution / start) as usize;
+        for row in (step / 2..layout.side).step_by(step) {
+            for column in (step / 2..layout.side).step_by(step) {
+                self.wanted[row * layout.words + column / 64] |= 1 << (column % 64);
             }
+        }
+        self.want_hints(layout, hemisphere, hints);
+        self.settle(tracer, origin, hemisphere, layout);
+        self.map(resolution)
+    }
+
+    fn map(&self, resolution: u32) -> VisibilityMap {
+        VisibilityMap::from_words(resolution, self.free.clone()).unwrap_or_default()
+    }
+
+    fn begin(&mut self, layout: Layout) {
+        for bits in [&mut self.free, &mut self.traced, &mut self.wanted] {
+            bits.clear();
+            bits.resize(layout.len(), 0);
         }
     }
 
-    /// Traces the queue.
-    fn trace(&mut self, tracer: &impl Tracer, origin: Vec3, hemisphere: &Hemisphere, side: usize) {
-        let grid = Grid::of(side as u32);
-        let ray = |&(row, column): &(u16, u16)| {
+    /// Traces what is wanted, and then what differs from a traced neighbour, until all agree.
+    fn settle(
+        &mut self,
+        tracer: &impl Tracer,
+        origin: Vec3,
+        hemisphere: &Hemisphere,
+        layout: Layout,
+    ) {
+        while self.wanted.iter().any(|&bits| bits != 0) {
+            self.trace(tracer, origin, hemisphere, layout);
+            self.want_boundaries(layout, true);
+        }
+    }
+
+    /// Traces what is wanted.
+    fn trace(
+        &mut self,
+        tracer: &impl Tracer,
+        origin: Vec3,
+        hemisphere: &Hemisphere,
+        layout: Layout,
+    ) {
+        self.queue_wanted(layout);
+        let grid = Grid::of(layout.side as u32);
+        self.rays.clear();
+        self.rays.extend(self.queue.iter().map(|&(row, column)| {
             let local = grid.direction(row.into(), column.into());
             Ray::new(origin, hemisphere.to_world(local))
-        };
-        self.rays.clear();
-        self.rays.extend(self.queue.iter().map(ray));
+        }));
         self.answers.clear();
         self.answers.resize(self.rays.len(), false);
         tracer.occluded_batch(&self.rays, &mut self.answers);
-        self.traced += self.rays.len() as u64;
+        self.count += self.rays.len() as u64;
+        for (traced, wanted) in self.traced.iter_mut().zip(&mut self.wanted) {
+            *traced |= std::mem::take(wanted);
+        }
         for (&(row, column), &blocked) in self.queue.iter().zip(&self.answers) {
-            let free = if blocked { 0 } else { texel::FREE };
-            self.cells[usize::from(row) * side + usize::from(column)] = texel::TRACED | free;
+            let column = usize::from(column);
+            let word = &mut self.free[usize::from(row) * layout.words + column / 64];
+            let bit = 1u64 << (column % 64);
+            *word = if blocked { *word & !bit } else { *word | bit };
         }
     }
 
-    /// Every texel becomes four.
-    fn refine(&mut self, side: usize) {
-        self.finer.clear();
-        for row in self.cells.chunks_exact(side) {
-            for _ in 0..2 {
-                let free = row.iter().map(|cell| cell & texel::FREE);
-                self.finer.extend(free.flat_map(|free| [free, free]));
-            }
-        }
-        std::mem::swap(&mut self.cells, &mut self.finer);
-    }
-
-    /// Queues the texels that differ from a neighbour, block by block.
-    fn queue_boundaries(&mut self, side: usize) {
+    /// Lists the wanted texels by blocks of eight by eight: rays that are traced together run alike.
+    fn queue_wanted(&mut self, layout: Layout) {
         self.queue.clear();
-        let cells = &mut self.cells;
-        for top in (0..side).step_by(BLOCK) {
-            for left in (0..side).step_by(BLOCK) {
-                if is_plain(cells, side, top, left) {
-                    continue;
-                }
-                for row in top..top + BLOCK {
-                    for column in left..left + BLOCK {
-                        let here = cells[row * side + column] & texel::FREE;
-                        let unlike = neighbours(side, row, column)
-                            .any(|index| cells[index] & texel::FREE != here);
-                        if unlike {
-                            cells[row * side + column] |= texel::WAITING;
-                            self.queue.push((row as u16, column as u16));
+        for top in (0..layout.side).step_by(BLOCK) {
+            for word in 0..layout.words {
+                let rows: [u64; BLOCK] =
+                    std::array::from_fn(|k| self.wanted[(top + k) * layout.words + word]);
+                let mut any = rows.iter().fold(0, |all, bits| all | bits);
+                while any != 0 {
+                    let byte = any.trailing_zeros() as usize / 8 * 8;
+                    any &= !(0xff << byte);
+                    for (k, bits) in rows.iter().enumerate() {
+                        let mut bits = bits >> byte & 0xff;
+                        while bits != 0 {
+                            let column = word * 64 + byte + bits.trailing_zeros() as usize;
+                            bits &= bits - 1;
+                            self.queue.push(((top + k) as u16, column as u16));
                         }
                     }
                 }
@@ -178,12 +230,89 @@ impl MapSampler {
         }
     }
 
-    /// Queues the texels that the boundaries of other maps fall into.
-    fn queue_hints(&mut self, side: usize, hemisphere: &Hemisphere, hints: &[Hint]) {
-        let grid = Grid::of(side as u32);
-        let (cells, queue) = (&mut self.cells, &mut self.queue);
+    /// Every texel becomes four.
+    fn refine(&mut self, from: Layout) {
+        let to = Layout::of(from.side * 2);
+        self.finer.clear();
+        for row in self.free.chunks_exact(from.words) {
+            for _ in 0..2 {
+                for word in 0..to.words {
+                    let half = row[word / 2] >> (32 * (word % 2)) & 0xffff_ffff;
+                    self.finer.push(doubled(half));
+                }
+            }
+        }
+        std::mem::swap(&mut self.free, &mut self.finer);
+        for bits in [&mut self.traced, &mut self.wanted] {
+            bits.clear();
+            bits.resize(to.len(), 0);
+        }
+    }
+
+    /// Wants the texels that differ from one of their eight neighbours (from one that has been traced), unless they have been traced.
+    fn want_boundaries(&mut self, layout: Layout, from_traced: bool) {
+        let Layout { side, words, last } = layout;
+        // A texel and its neighbours to either side, of the free and of the blocked ones.
+        let spread = |row: usize, word: usize| -> [u64; 2] {
+            let pick = |index: usize, blocked: bool| {
+                let at = row * words + index;
+                let bits = if blocked {
+                    !self.free[at]
+                } else {
+                    self.free[at]
+                };
+                let bits = if from_traced {
+                    bits & self.traced[at]
+                } else {
+                    bits
+                };
+                if index + 1 == words {
+                    bits & last
+                } else {
+                    bits
+                }
+            };
+            [false, true].map(|blocked| {
+                let here = pick(word, blocked);
+                let before = if word > 0 {
+                    pick(word - 1, blocked) >> 63
+                } else {
+                    0
+                };
+                let after = if word + 1 < words {
+                    pick(word + 1, blocked) << 63
+                } else {
+                    0
+                };
+                here | here << 1 | before | here >> 1 | after
+            })
+        };
+        for word in 0..words {
+            let used = if word + 1 == words { last } else { u64::MAX };
+            let mut above = [0, 0];
+            let mut here = spread(0, word);
+            for row in 0..side {
+                let below = if row + 1 < side {
+                    spread(row + 1, word)
+                } else {
+                    [0, 0]
+                };
+                let near_free = above[0] | here[0] | below[0];
+                let near_blocked = above[1] | here[1] | below[1];
+                let at = row * words + word;
+                let free = self.free[at];
+                let unlike = (free & near_blocked) | (!free & near_free);
+                self.wanted[at] |= unlike & used & !self.traced[at];
+                (above, here) = (here, below);
+            }
+        }
+    }
+
+    /// Wants the texels that the boundaries of other maps fall into.
+    fn want_hints(&mut self, layout: Layout, hemisphere: &Hemisphere, hints: &[Hint]) {
+        let grid = Grid::of(layout.side as u32);
         for hint in hints {
-            let same = hint.hemisphere == *hemisphere && hint.map.side() as usize == side;
+            let same = hint.hemisphere == *hemisphere && hint.map.side() as usize == layout.side;
             let from = Grid::of(hint.map.side());
             hint.map.boundary(|row, column| {
                 let (row, column) = if same {
@@ -196,57 +325,29 @@ impl MapSampler {
                     }
                     grid.texel(local)
                 };
-                let cell = &mut cells[row * side + column];
-                if *cell & texel::WAITING == 0 {
-                    *cell |= texel::WAITING;
-                    queue.push((row as u16, column as u16));
-                }
+                self.wanted[row * layout.words + column / 64] |= 1 << (column % 64);
             });
         }
     }
+}
 
-    /// After tracing: queues what has not been traced and differs from a neighbour that has.
-    fn queue_neighbours(&mut self, side: usize) {
-        self.next.clear();
-        for &(row, column) in &self.queue {
-            let (row, column) = (usize::from(row), usize::from(column));
-            let here = self.cells[row * side + column] & texel::FREE;
-            for index in neighbours(side, row, column) {
-                let cell = &mut self.cells[index];
-                let known = texel::TRACED | texel::WAITING;
-                if *cell & texel::FREE != here && *cell & known == 0 {
-                    *cell |= texel::WAITING;
-                    self.next
-                        .push(((index / side) as u16, (index % side) as u16));
-                }
-            }
-        }
-        std::mem::swap(&mut self.queue, &mut self.next);
+/// Each of 32 bits twice.
+fn doubled(bits: u64) -> u64 {
+    let mut x = bits;
+    for (shift, mask) in [
+        (16, 0x0000_ffff_0000_ffff),
+        (8, 0x00ff_00ff_00ff_00ff),
+        (4, 0x0f0f_0f0f_0f0f_0f0f),
+        (2, 0x3333_3333_3333_3333),
+        (1, 0x5555_5555_5555_5555),
+    ] {
+        x = (x | x << shift) & mask;
     }
+    x | x << 1
 }
 
-/// The eight neighbours of a texel, those outside left out.
-#[inline]
-fn neighbours(side: usize, row: usize, column: usize) -> impl Iterator<Item = usize> {
-    let rows = row.saturating_sub(1)..(row + 2).min(side);
-    let columns = column.saturating_sub(1)..(column + 2).min(side);
-    rows.flat_map(move |r| columns.clone().map(move |c| r * side + c))
-}
-
-/// Whether a block and the texels around it are all alike, by rows of eight.
-fn is_plain(cells: &[u8], side: usize, top: usize, left: usize) -> bool {
-    let first = cells[top * side + left];
-    let rows = top.saturating_sub(1)..(top + BLOCK + 1).min(side);
-    let columns = left.saturating_sub(1)..(left + BLOCK + 1).min(side);
-    rows.into_iter().all(|row| {
-        let cells = &cells[row * side + columns.start..row * side + columns.end];
-        cells
-            .iter()
-            .fold(0, |differs, cell| differs | (cell ^ first))
-            & texel::FREE
-            == 0
-    })
-}
+/// Side of the square blocks that rays are grouped by: neighbours in a batch run alike.
+const BLOCK: usize = 8;
 
 #[cfg(test)]
 mod tests {
@@ -344,6 +445,39 @@ mod tests {
         let helped = MapSampler::default().sample(&pole, Vec3::ZERO, &here, sampling, &[hint]);
         assert!(helped.difference(&full) < 1e-4);
         assert!(blind.is_none_or(|blind| helped.difference(&full) < blind.difference(&full)));
+    }
+
+    /// While an occluder moves by a texel or two, few rays follow it, and none of its old places stays.
+    #[test]
+    fn maps_are_followed_from_moment_to_moment() {
+        let hemisphere = Hemisphere::new(Vec3::Y, Vec3::Z);
+        let sampling = MapSampling::default();
+        let mut sampler = MapSampler::default();
+        let mut map = None;
+        for step in 0..12 {
+            let mut all = some_spheres(3, 4, 0.9);
+            all[0].0.x += step as f32 * 0.06;
+            all[1].0.z -= step as f32 * 0.09;
+            let tracer = spheres(all);
+            let before = sampler.traced();
+            map = Some(match &map {
+                None => sampler.sample(&tracer, Vec3::ZERO, &hemisphere, sampling, &[]),
+                Some(map) => {
+                    sampler.sample_again(&tracer, Vec3::ZERO, &hemisphere, sampling, map, &[])
+                }
+            });
+            let found = map.as_ref().unwrap();
+            let wrong = found.difference(&brute(&tracer, &hemisphere, 128));
+            let share = (sampler.traced() - before) as f32 / (128.0 * 128.0);
+            assert!(wrong < 0.002, "{step}: {wrong} wrong");
+            assert!(share < 0.2, "{step}: {share} of the rays");
+        }
+    }
+
+    #[test]
+    fn bits_are_doubled() {
+        assert_eq!(doubled(0b1011), 0b1100_1111);
+        assert_eq!(doubled(0x8000_0001), 0xc000_0000_0000_0003);
     }
 
     #[test]

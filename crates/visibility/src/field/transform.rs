@@ -12,8 +12,9 @@
 //! `cos D_i(t) = cos t cos t_i + sin t sin t_i cos d_i = sin t (a_i x + b_i)`, `x = cot t`, `a_i = cos t_i`, `b_i = sin t_i cos d_i`.
 //!
 //! For fixed `t` the factor `sin t > 0` is common: the nearest row is the **topmost of the lines** `a_i x + b_i`. Their slopes fall from
-//! row to row, so the upper envelope is found in one pass with a stack, and read in another as `x` falls with growing `t`.
-//! (Meijster et al. 2000 do the same with parabolas on the plane.) Parallels must come first: on a meridian the nearest row is
+//! row to row, so the topmost line moves on as `x` falls with growing `t`: a row between two others looks among the lines between theirs
+//! ([`scan_meridians`]; divide and conquer, a logarithm more than the envelope of Meijster et al. 2000, but many columns at a time and without
+//! branches, which is several times faster up to 1024 texels). Parallels must come first: on a meridian the nearest row is
 //! decided by one number a row, `d_i`, only because the distance in `phi` orders points of one parallel for every observer.
 //! Scanning meridians first is wrong by up to 0.63 rad.
 
@@ -36,8 +37,10 @@ pub struct DistanceTransform {
     row: Vec<f32>,
     /// Cosines of the distances of a strip, row after row.
     cosines: Vec<f32>,
-    /// The envelope: slopes and heights of its lines.
-    envelope: Vec<[f32; 2]>,
+    /// `a` of the rows.
+    slopes: Vec<f32>,
+    /// Of every row, numbered from 1, the first and the last line that is topmost for some column of the strip.
+    bounds: Vec<[u16; 2]>,
 }
 
 /// A row of texel centres, or the line behind one, that midpoints lie on.
@@ -72,6 +75,22 @@ impl DistanceTransform {
 
     /// [`transform`](Self::transform) into a field that is there already.
     pub fn transform_into(&mut self, map: &VisibilityMap, field: &mut DistanceField) {
+        #[cfg(target_arch = "x86_64")]
+        if std::arch::is_x86_feature_detected!("avx2") {
+            // SAFETY: the machine has the instructions.
+            return unsafe { self.transform_avx2(map, field) };
+        }
+        self.transform_by(map, field);
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn transform_avx2(&mut self, map: &VisibilityMap, field: &mut DistanceField) {
+        self.transform_by(map, field);
+    }
+
+    #[inline(always)]
+    fn transform_by(&mut self, map: &VisibilityMap, field: &mut DistanceField) {
         let grid = Grid::of(map.side());
         let side = grid.side;
         self.find_midpoints(map, grid);
@@ -79,16 +98,16 @@ impl DistanceTransform {
         let rows = self.parallels.len();
         self.cosines.clear();
         self.cosines.resize(side * STRIP, -1.0);
-        self.envelope.clear();
-        self.envelope.resize(rows + 1, [0.0; 2]);
+        self.bounds.clear();
+        self.bounds.resize(side + 1, [0; 2]);
+        self.slopes.clear();
+        self.slopes.extend(self.parallels.iter().map(|p| p.slope));
         let values = field.values_mut(map.side());
         for strip in 0..side / STRIP {
             if rows > 0 {
                 let heights = &self.heights[strip * rows * STRIP..][..rows * STRIP];
-                for column in 0..STRIP {
-                    let (heights, out) = (&heights[column..], &mut self.cosines[column..]);
-                    scan_meridian(grid, &self.parallels, heights, &mut self.envelope, out);
-                }
+                let (bounds, out) = (&mut self.bounds, &mut self.cosines);
+                scan_meridians(grid, &self.slopes, heights, bounds, out);
             }
             finish(map, grid, strip, &self.cosines, values);
         }
@@ -138,6 +157,7 @@ impl DistanceTransform {
     }
 
     /// Fills the heights.
+    #[inline(always)]
     fn scan_parallels(&mut self, grid: &Grid) {
         let rows = self.parallels.len();
         self.heights.resize(rows * grid.side, 0.0);
@@ -162,10 +182,11 @@ impl DistanceTransform {
 }
 
 /// The horizon, signs and angles of a strip.
+#[inline(always)]
 fn finish(map: &VisibilityMap, grid: &Grid, strip: usize, cosines: &[f32], values: &mut [i16]) {
     let first = strip * STRIP;
     for (row, cosines) in cosines.chunks_exact(STRIP).enumerate() {
-        let bits = map.row(row)[first / 64] >> (first % 64);
+        let bits = (map.row(row)[first / 64] >> (first % 64)) as u32;
         let out = &mut values[row * grid.side + first..][..STRIP];
         let horizons = &grid.horizon[row * grid.side + first..][..STRIP];
         for column in 0..STRIP {
@@ -181,6 +202,7 @@ fn finish(map: &VisibilityMap, grid: &Grid, strip: usize, cosines: &[f32], value
 
 /// `sin * cos(distance in phi to the nearest midpoint)` for every column. A midpoint `e` lies on column `e`, or, if not `between` rows,
 /// half a column behind it.
+#[inline(always)]
 fn fill_parallel(edges: &[u16], between: bool, sin: f32, cosines: &[f32], row: &mut [f32]) {
     let side = row.len();
     let mut from = 0;
@@ -202,43 +224,72 @@ fn fill_parallel(edges: &[u16], between: bool, sin: f32, cosines: &[f32], row: &
     }
 }
 
-/// The upper envelope of a column's lines, read at every row: cosines of the distances. `heights` and `out` hold every [`STRIP`]-th number.
-fn scan_meridian(
+/// For every row of a strip the topmost of its lines: cosines of the distances. `heights` and `out` hold [`STRIP`] columns a row.
+///
+/// Slopes fall from line to line, so that the topmost line's number grows with the row: rows in the middle of known ones look between those
+/// lines alone. Columns of a strip share their bounds, which costs little, since neighbours have nearly the same.
+#[inline(always)]
+fn scan_meridians(
     grid: &Grid,
-    parallels: &[Parallel],
+    slopes: &[f32],
     heights: &[f32],
-    envelope: &mut [[f32; 2]],
+    bounds: &mut [[u16; 2]],
     out: &mut [f32],
 ) {
-    let mut top = 0;
-    let heights = heights.iter().step_by(STRIP);
-    for (parallel, &height) in parallels.iter().zip(heights) {
-        let slope = parallel.slope;
-        while top >= 2 {
-            let ([a1, b1], [a2, b2]) = (envelope[top - 2], envelope[top - 1]);
-            // The line below the top meets the new one before it meets the top one: the top is nowhere topmost.
-            if (b2 - b1) * (a1 - slope) > (height - b1) * (a1 - a2) {
-                break;
+    let side = grid.side;
+    let last = slopes.len() - 1;
+    let mut step = side;
+    while step > 0 {
+        // Rows at odd multiples of the step, numbered from 1, lie between rows that are known.
+        let mut row = step;
+        while row <= side {
+            let from = if row > step {
+                usize::from(bounds[row - step][0])
+            } else {
+                0
+            };
+            let to = if row + step <= side {
+                usize::from(bounds[row + step][1])
+            } else {
+                last
+            };
+            let (sin, cos) = (grid.sin[row - 1], grid.cos[row - 1]);
+            let mut best = [-2.0_f32; STRIP];
+            // A number is kept as a float: one select does for both.
+            let mut which = [0.0_f32; STRIP];
+            let lines = slopes[from..=to]
+                .iter()
+                .zip(heights[from * STRIP..].chunks_exact(STRIP));
+            for (number, (slope, heights)) in (from..).zip(lines) {
+                let (base, number) = (slope * cos, number as f32);
+                for k in 0..STRIP {
+                    let value = base + heights[k] * sin;
+                    let better = value > best[k];
+                    best[k] = if better { value } else { best[k] };
+                    which[k] = if better { number } else { which[k] };
+                }
             }
-            top -= 1;
-        }
-        envelope[top] = [slope, height];
-        top += 1;
-    }
-    let lines = &envelope[..top];
-    let mut line = 0;
-    let rows = grid.sin.iter().zip(&grid.cos);
-    for (out, (&sin, &cos)) in out.iter_mut().step_by(STRIP).zip(rows) {
-        let at = |k: usize| lines[k][0] * cos + lines[k][1] * sin;
-        let mut best = at(line);
-        while line + 1 < top {
-            let next = at(line + 1);
-            if next < best {
-                break;
+            out[(row - 1) * STRIP..row * STRIP].copy_from_slice(&best);
+            if step > 1 {
+                bounds[row] = least_and_largest(&which);
             }
-            best = next;
-            line += 1;
+            row += 2 * step;
         }
-        *out = best;
+        step /= 2;
     }
+}
+
+/// Of whole numbers that fit 16 bits.
+#[inline(always)]
+fn least_and_largest(numbers: &[f32; STRIP]) -> [u16; 2] {
+    const HALF: usize = STRIP / 2;
+    let (mut low, mut high) = ([0.0_f32; HALF], [0.0_f32; HALF]);
+    for k in 0..HALF {
+        let (a, b) = (numbers[k], numbers[k + HALF]);
+        low[k] = if a < b { a } else { b };
+        high[k] = if a > b { a } else { b };
+    }
+    let least = low.iter().fold(f32::MAX, |a, &b| if b < a { b } else { a });
+    let largest = high.iter().fold(0.0, |a, &b| if b > a { b } else { a });
+    [least as u16, largest as u16]
 }

@@ -75,7 +75,7 @@ pub(super) fn residual(alpha: f32, count: usize) -> f32 {
 }
 
 /// Nodes of the quadrature over `x = tan^2 / alpha^2`, evenly in `x / (1 + x)`, which is the share of the projected area.
-const NODES: usize = 400;
+const NODES: usize = 128;
 
 fn fit(alpha: f64, count: usize) -> Fit {
     // GGX: the projected area within an angle is x / (1 + x), so nodes that are even in it carry equal area.
@@ -144,7 +144,7 @@ fn fit(alpha: f64, count: usize) -> Fit {
     let (amplitude, _) = solve(&best);
     // Projected area of a lobe: 2 pi times the integral of exp(l (c - 1)) c dc.
     let area = |l: f64| {
-        let n = 2000;
+        let n = 400;
         (0..n)
             .map(|i| {
                 let cos = (f64::from(i) + 0.5) / f64::from(n);
@@ -187,7 +187,7 @@ fn fit(alpha: f64, count: usize) -> Fit {
 fn solve_positive(gram: &[[f64; MOST]; MOST], right: &[f64; MOST], n: usize) -> [f64; MOST] {
     let mut x = [0.0; MOST];
     // Coordinate descent: converges for any start, as the matrix is positive.
-    for _ in 0..400 {
+    for _ in 0..80 {
         for a in 0..n {
             let others: f64 = (0..n).filter(|b| *b != a).map(|b| gram[a][b] * x[b]).sum();
             x[a] = ((right[a] - others) / gram[a][a].max(1e-300)).max(0.0);

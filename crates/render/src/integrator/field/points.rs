@@ -24,7 +24,7 @@ use rayon::prelude::*;
 const NEIGHBOURS: usize = 8;
 /// The neighbour whose distance sets the radius, from 0, and the factor.
 const RADIUS_FROM: usize = 4;
-const RADIUS_FACTOR: f32 = 1.35;
+const RADIUS_FACTOR: f32 = 1.25;
 /// Frames that a new point takes to full strength, or an old one to none.
 const FADE: f32 = 4.0;
 /// Share of the way to its wanted radius that a point goes in a frame.
@@ -35,6 +35,8 @@ const PATIENCE: u8 = 4;
 const FORGET: u16 = 48;
 /// Points that are closer than so many pixels get none between them.
 const LEAST_PIXELS: f32 = 5.0;
+/// A point that has a map takes hints from a neighbour in every so-manieth frame: what is slim and new is found by one and told to the others.
+const HINT_EVERY: usize = 4;
 /// A new point keeps this share of the pair's distance from all others.
 const SEPARATION: f32 = 0.35;
 
@@ -73,6 +75,7 @@ pub(super) struct Points {
     pub(super) list: Vec<Point>,
     pub(super) metric: Metric,
     sites: Sites,
+    frame: usize,
 }
 
 /// When points are adapted.
@@ -133,6 +136,7 @@ impl Points {
             list: Vec::new(),
             metric,
             sites: Sites::default(),
+            frame: 0,
         }
     }
 
@@ -204,7 +208,7 @@ impl Points {
             .par_iter()
             .filter(|tile| !tile.is_empty())
             .for_each_init(Vec::new, |ids, tile| {
-                reach.around(tile.centre, tile.radius, 1.0, ids);
+                reach.around(tile.centre, tile.radius, ids);
                 for &id in ids.iter() {
                     flags[id as usize].store(true, std::sync::atomic::Ordering::Relaxed);
                 }
@@ -216,6 +220,7 @@ impl Points {
 
     /// A frame ends: counts how long points were of no use.
     pub(super) fn age(&mut self) {
+        self.frame += 1;
         for point in &mut self.list {
             point.idle = if point.needed { 0 } else { point.idle + 1 };
         }
@@ -230,22 +235,23 @@ impl Points {
         let results: Vec<(VisibilityMap, Harmonics, u64)> = (waiting.par_iter())
             .map_init(MapSampler::default, |sampler, &i| {
                 let point = &list[i];
-                let mut hints = Vec::new();
-                if point.has_map() {
-                    hints.push(hint(point));
-                }
+                let known = point.map.side() == sampling.resolution;
+                let wanted = match known {
+                    true => usize::from((i + self.frame).is_multiple_of(HINT_EVERY)),
+                    false => 2,
+                };
                 let others = point.neighbours.iter().map(|&(k, _)| &list[k as usize]);
-                let wanted = if point.has_map() { 1 } else { 2 };
-                hints.extend(
-                    others
-                        .filter(|other| other.has_map())
-                        .take(wanted)
-                        .map(hint),
-                );
+                let others = others.filter(|other| other.has_map()).take(wanted);
+                let hints: Vec<Hint> = others.map(hint).collect();
                 let spot = &point.spot;
                 let origin = offset_along_normal(spot.position, spot.flat, spot.extent);
                 let before = sampler.traced();
-                let map = sampler.sample(geometry, origin, &point.hemisphere, sampling, &hints);
+                let axes = &point.hemisphere;
+                let map = if known {
+                    sampler.sample_again(geometry, origin, axes, sampling, &point.map, &hints)
+                } else {
+                    sampler.sample(geometry, origin, axes, sampling, &hints)
+                };
                 let harmonics = harmonics(&map, &point.hemisphere);
                 (map, harmonics, sampler.traced() - before)
             })
@@ -415,7 +421,7 @@ impl Points {
             .par_iter()
             .filter(|tile| !tile.is_empty())
             .map_init(Vec::new, |ids, tile| {
-                reach.around(tile.centre, tile.radius, 1.0, ids);
+                reach.around(tile.centre, tile.radius, ids);
                 let bare = |eye: &&Eye| {
                     ids.iter().all(|&id| {
                         let point = &self.list[id as usize];
@@ -534,15 +540,15 @@ impl Reach {
         reach
     }
 
-    /// The points whose reach, times `factor`, meets a ball, in ascending order.
-    pub(super) fn around(&self, centre: Vec3, radius: f32, factor: f32, out: &mut Vec<u32>) {
+    /// The points whose reach meets a ball, in ascending order.
+    pub(super) fn around(&self, centre: Vec3, radius: f32, out: &mut Vec<u32>) {
         out.clear();
-        find(self, centre, radius, factor, out);
+        find(self, centre, radius, out);
     }
 }
 
 super::math::wide! {
-fn find(reach: &Reach, centre: Vec3, radius: f32, factor: f32, out: &mut Vec<u32>) {
+fn find(reach: &Reach, centre: Vec3, radius: f32, out: &mut Vec<u32>) {
     let count = reach.ids.len();
     let [x, y, z, r] = reach.columns.each_ref().map(|column| &column[..count]);
     for start in (0..count).step_by(16) {
@@ -550,7 +556,7 @@ fn find(reach: &Reach, centre: Vec3, radius: f32, factor: f32, out: &mut Vec<u32
         let mut meets = [false; 16];
         for k in start..end {
             let (dx, dy, dz) = (x[k] - centre.x, y[k] - centre.y, z[k] - centre.z);
-            let sum = r[k] * factor + radius;
+            let sum = r[k] + radius;
             meets[k - start] = dx * dx + dy * dy + dz * dz < sum * sum;
         }
         for (k, meets) in meets[..end - start].iter().enumerate() {

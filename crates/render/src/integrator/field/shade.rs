@@ -18,7 +18,7 @@ use occlude_visibility::{Ray, Tracer, offset_along_normal};
 use std::f32::consts::FRAC_1_PI;
 
 /// Points that speak for a pixel, at most.
-const MOST_NEAR: usize = 16;
+const MOST_NEAR: usize = 12;
 
 /// What a frame's pixels are shaded with.
 pub(super) struct Shading<'f, 'a> {
@@ -38,7 +38,9 @@ pub(super) struct Shading<'f, 'a> {
 /// Buffers of one worker.
 #[derive(Debug, Default)]
 pub(super) struct Scratch {
+    /// Points that reach a ball: its centre and radius.
     ids: Vec<u32>,
+    ball: Option<(Vec3, f32)>,
     sites: Sites,
     distances: Vec<f32>,
     near: Vec<(u32, f32)>,
@@ -85,7 +87,7 @@ impl Shading<'_, '_> {
             .lines
             .extend(points.map(|point| self.view.ray(point).ray));
         let lines = std::mem::take(&mut scratch.lines);
-        self.gather(tile.centre, tile.radius, 1.0, scratch);
+        self.gather(tile.centre, tile.radius, scratch);
         let out = self.shade(&lines, &tile.eyes, &tile.panes, [tile.x, tile.y], scratch);
         scratch.lines = lines;
         out
@@ -106,12 +108,13 @@ impl Shading<'_, '_> {
             high = high.max(eye.position);
         }
         if low.x <= high.x {
-            self.gather(
-                (low + high) * 0.5,
-                (high - low).length() * 0.5,
-                1.0,
-                scratch,
-            );
+            let (centre, radius) = ((low + high) * 0.5, (high - low).length() * 0.5);
+            let known = (scratch.ball)
+                .is_some_and(|(ball, reach)| (centre - ball).length() + radius <= reach);
+            if !known {
+                // Other pixels of the tile will ask about the surroundings.
+                self.gather(centre, 4.0 * radius, scratch);
+            }
         }
         let seed = points.first().map_or([0; 2], |p| [p.x as u32, p.y as u32]);
         let out = self.shade(&lines, &eyes, &panes, seed, scratch);
@@ -120,9 +123,9 @@ impl Shading<'_, '_> {
     }
 
     /// Collects the points that reach a ball.
-    fn gather(&self, centre: Vec3, radius: f32, factor: f32, scratch: &mut Scratch) {
-        self.reach
-            .around(centre, radius.max(0.0), factor, &mut scratch.ids);
+    fn gather(&self, centre: Vec3, radius: f32, scratch: &mut Scratch) {
+        self.reach.around(centre, radius.max(0.0), &mut scratch.ids);
+        scratch.ball = Some((centre, radius));
         scratch.sites.clear();
         for &id in &scratch.ids {
             let spot = &self.points.list[id as usize].spot;

@@ -1,0 +1,32 @@
+//! `dynamic`: fields of visibility on moving scenes under a sky (Wang et al. 2013).
+//!
+//! Topics: `transform` (time by resolution), `maps` (rays and wrong texels of adaptive maps), `frames` (Table 1), `monte-carlo` (time to equal FLIP against
+//! path tracing with multiple importance sampling, and where the error comes from).
+
+mod frames;
+mod maps;
+mod stage;
+
+use crate::common::{Report, Setting};
+
+/// Runs the suite.
+pub fn run(setting: &Setting) -> Report {
+    let mut report = Report::new(
+        "Fields of visibility on moving scenes",
+        "topic,scene,what,value,unit",
+    );
+    report.live(&setting.out);
+    if setting.wants_topic("transform") {
+        maps::transforms(setting, &mut report);
+    }
+    if setting.wants_topic("maps") {
+        maps::adaptive(setting, &mut report);
+    }
+    if setting.wants_topic("frames") {
+        frames::table(setting, &mut report);
+    }
+    if setting.wants_topic("monte-carlo") {
+        frames::monte_carlo(setting, &mut report);
+    }
+    report
+}

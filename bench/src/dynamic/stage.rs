@@ -1,0 +1,184 @@
+//! Scenes with a view and a sky, posed frame by frame.
+
+use crate::common::Setting;
+use glam::{Vec2, Vec3};
+use occlude_bvh::BuildOptions;
+use occlude_image::{Limits, Picture};
+use occlude_render::camera::{PixelFilter, View};
+use occlude_render::film::Film;
+use occlude_render::geometry::{Geometry, WorldTriangle};
+use occlude_render::integrator::{Integrator, RenderReport, RenderSettings, Sequence, World};
+use occlude_render::job::Job;
+use occlude_render::light::{Environment, LightSelection, Lights, SkyLobes};
+use occlude_render::sampling::SamplerKind;
+use occlude_scene::{Pose, Scene};
+use occlude_visibility::Exact;
+use std::time::Instant;
+
+/// Frames a second of the animation.
+const FPS: f32 = 24.0;
+
+/// A scene that is measured.
+pub struct Stage {
+    pub name: &'static str,
+    pub scene: Scene,
+    pub sky: Environment,
+}
+
+/// A picture and what it took.
+pub struct Shot {
+    pub picture: Picture,
+    pub report: RenderReport,
+    /// Seconds for pose, hierarchies and lights; and for all together.
+    pub prepared: f64,
+    pub seconds: f64,
+}
+
+impl Stage {
+    /// Loads a scene of the public set with one of its skies; `None` (said aloud) if either is missing.
+    pub fn load(setting: &Setting, name: &'static str, file: &str, sky: &str) -> Option<Self> {
+        if !setting.wants(name) {
+            return None;
+        }
+        let sky_file = setting.scenes.join("env").join(sky);
+        let sky = occlude_image::read(&sky_file, &Limits::default());
+        match (Scene::load(&setting.scenes.join(file), None, None), sky) {
+            (Ok(scene), Ok(sky)) => Some(Self {
+                name,
+                scene,
+                sky: Environment::from_picture(&sky.picture, 0.0, 1.0),
+            }),
+            _ => {
+                eprintln!("SKIPPED {name}: {file} or its sky is missing");
+                None
+            }
+        }
+    }
+
+    pub fn vertices(&self) -> usize {
+        let meshes = &self.scene.meshes;
+        let instances = self.scene.instances.iter();
+        instances
+            .map(|i| meshes[i.mesh as usize].positions.len())
+            .sum()
+    }
+
+    pub fn pose(&self, frame: u32) -> Pose {
+        Pose::at(&self.scene, frame as f32 / FPS)
+    }
+
+    pub fn view(&self, pose: &Pose, [width, height]: [u32; 2]) -> View {
+        if !self.scene.cameras.is_empty() {
+            return View::of_camera(&self.scene, pose, 0, width, height);
+        }
+        let (mut low, mut high) = (Vec3::splat(f32::INFINITY), Vec3::splat(f32::NEG_INFINITY));
+        for (number, instance) in pose.instances.iter().enumerate() {
+            for &position in pose.positions(&self.scene, number) {
+                let place = instance.world_from_object.transform_point3(position);
+                (low, high) = (low.min(place), high.max(place));
+            }
+        }
+        View::framing(low, high, width, height)
+    }
+
+    /// Renders a frame, its preparation included in the time.
+    pub fn shoot(
+        &self,
+        frame: u32,
+        size: [u32; 2],
+        sky: &Environment,
+        sequence: &mut Sequence,
+        (integrator, samples, seed): (Integrator, u32, u64),
+    ) -> Shot {
+        let start = Instant::now();
+        let pose = self.pose(frame);
+        let options = BuildOptions::default();
+        let geometry = Geometry::new(&self.scene, &pose, &options).expect("a scene with triangles");
+        let lights = Lights::new(&self.scene, &pose, Some(sky.clone()), LightSelection::Tree);
+        let prepared = start.elapsed().as_secs_f64();
+        let world = World {
+            geometry: &geometry,
+            lights: &lights,
+        };
+        let view = self.view(&pose, size);
+        let settings = RenderSettings {
+            integrator,
+            sampler: SamplerKind::Sobol,
+            filter: PixelFilter::Box,
+            seed,
+            samples: 0..samples,
+            time_limit: None,
+            noise: None,
+        };
+        let mut film = Film::new(size[0], size[1], false);
+        let job = Job::new();
+        let report = sequence.render(
+            &world,
+            &view,
+            &Exact,
+            &settings,
+            &mut film,
+            &job,
+            &mut |_| (),
+        );
+        Shot {
+            seconds: start.elapsed().as_secs_f64(),
+            prepared,
+            report,
+            picture: Picture {
+                width: size[0],
+                height: size[1],
+                pixels: film.develop().radiance,
+            },
+        }
+    }
+
+    /// Surface points that the camera sees: place off the surface and normal.
+    pub fn points(&self, geometry: &Geometry, pose: &Pose, count: u32) -> Vec<(Vec3, Vec3)> {
+        let view = self.view(pose, [640, 480]);
+        let mut found = Vec::new();
+        let mut number = 0;
+        while found.len() < count as usize && number < 64 * count {
+            number += 1;
+            let u = Vec2::new(0.754_877_7, 0.569_840_3) * number as f32;
+            let ray = view.ray(u.fract() * Vec2::new(640.0, 480.0)).ray;
+            let mut hit = [None];
+            geometry.closest_batch(&[ray], &mut hit);
+            let Some(hit) = hit[0] else { continue };
+            let triangle = WorldTriangle::new(&self.scene, pose, hit.instance, hit.primitive);
+            let Some(normal) = triangle.front_cross().try_normalize() else {
+                continue;
+            };
+            let normal = normal * -normal.dot(ray.direction).signum();
+            let place = triangle.point(hit.u, hit.v);
+            found.push((
+                occlude_visibility::offset_along_normal(place, normal, triangle.extent()),
+                normal,
+            ));
+        }
+        found
+    }
+}
+
+/// Lobes as a map, so that a path tracer sees the same sky.
+pub fn as_environment(sky: &SkyLobes) -> Environment {
+    let (width, height) = (512, 256);
+    let pixel = |i: u32| {
+        let theta = std::f32::consts::PI * ((i / width) as f32 + 0.5) / height as f32;
+        let phi = std::f32::consts::TAU * (((i % width) as f32 + 0.5) / width as f32 - 0.5);
+        let w = Vec3::new(
+            theta.sin() * phi.cos(),
+            theta.cos(),
+            theta.sin() * phi.sin(),
+        );
+        let lobes: Vec3 = sky.lobes.iter().map(|lobe| lobe.at(w)).sum();
+        lobes.to_array()
+    };
+    let pixels = (0..width * height).map(pixel).collect();
+    let picture = Picture {
+        width,
+        height,
+        pixels,
+    };
+    Environment::from_picture(&picture, 0.0, 1.0)
+}
