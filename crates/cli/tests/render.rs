@@ -10,6 +10,27 @@ fn cornell() -> Dir {
     dir
 }
 
+/// Fields of visibility say what they took, and threads leave no trace in their pictures.
+#[test]
+fn fields_report_and_repeat() {
+    let dir = Dir::new();
+    dir.must("scene cornell -o c.glb");
+    let command =
+        "render c.glb --integrator field --size 64x48 --threshold 20%,10% --resolution 64";
+    dir.must(&format!("{command} --threads 1 -o a.exr --stats s.json"));
+    dir.must(&format!("{command} --threads 3 -o b.exr"));
+    assert!(dir.read("a.exr") == dir.read("b.exr"));
+    let stats = dir.json("s.json");
+    assert_eq!(stats["visibility"]["strategy"], "field");
+    assert_eq!(stats["visibility"]["class"], "biased");
+    for key in ["t_update", "t_visibility", "t_transform", "t_integration"] {
+        assert!(stats["field"][key].as_f64().unwrap() > 0.0, "{key}");
+    }
+    let points = stats["field"]["sample_points"].as_u64().unwrap();
+    assert!(points > 0 && stats["field"]["rays"].as_u64().unwrap() < points * 64 * 64);
+    assert!(stats["visibility"]["queries"].as_u64().unwrap() >= points * 64 * 64);
+}
+
 #[test]
 fn every_format_and_layer_is_written() {
     let dir = cornell();

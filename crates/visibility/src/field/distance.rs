@@ -71,21 +71,28 @@ impl DistanceField {
     pub fn at_eight(&self, hemisphere: &Hemisphere, w: &[[f32; 8]; 3]) -> [f32; 8] {
         let side = self.side as usize;
         let (scale, last) = (side as f32 / PI, (side - 1) as f32 - 1e-3);
-        let along = |axis: Vec3, k: usize| axis.x * w[0][k] + axis.y * w[1][k] + axis.z * w[2][k];
+        let along = |axis: Vec3| -> [f32; 8] {
+            std::array::from_fn(|k| axis.x * w[0][k] + axis.y * w[1][k] + axis.z * w[2][k])
+        };
+        let (x, y, z) = (
+            along(hemisphere.side),
+            along(hemisphere.normal),
+            along(hemisphere.pole),
+        );
         let (mut rows, mut columns, mut below) = ([0.0; 8], [0.0; 8], [0.0; 8]);
         for k in 0..8 {
-            let x = along(hemisphere.side, k);
-            let y = along(hemisphere.normal, k);
-            let z = along(hemisphere.pole, k);
-            let lower = y < 0.0;
-            // Below the horizon the rim under the direction speaks.
-            let level = if lower { 0.0 } else { y };
-            let to_rim = (x * x + z * z).sqrt().max(1e-12);
-            let theta = acos(if lower { z / to_rim } else { z });
-            let phi = acos(x / (x * x + level * level).sqrt().max(1e-12));
-            below[k] = if lower { FRAC_PI_2 - acos(y) } else { 0.0 };
-            rows[k] = (theta * scale - 0.5).clamp(0.0, last);
-            columns[k] = (phi * scale - 0.5).clamp(0.0, last);
+            // Below the horizon the rim under the direction speaks. Without branches: vector units take eight at a time.
+            let level = if y[k] > 0.0 { y[k] } else { 0.0 };
+            let flat = x[k] * x[k] + level * level;
+            let theta = acos(z[k] / (flat + z[k] * z[k] + 1e-24).sqrt());
+            let phi = acos(x[k] / (flat + 1e-24).sqrt());
+            below[k] = FRAC_PI_2 - acos(if y[k] < 0.0 { y[k] } else { 0.0 });
+            let place = |angle: f32| {
+                let x = angle * scale - 0.5;
+                let x = if x > 0.0 { x } else { 0.0 };
+                if x < last { x } else { last }
+            };
+            (rows[k], columns[k]) = (place(theta), place(phi));
         }
         let (mut at, mut u, mut v) = ([0_u32; 8], [0.0; 8], [0.0; 8]);
         for k in 0..8 {
@@ -103,11 +110,8 @@ impl DistanceField {
             };
             let (upper, lower) = (blend(upper[k]), blend(lower[k]));
             let inside = (upper + (lower - upper) * v[k]) * STEP;
-            let inside = if below[k] < 0.0 {
-                inside.min(0.0)
-            } else {
-                inside
-            };
+            let most = if below[k] < 0.0 { 0.0 } else { PI };
+            let inside = if inside < most { inside } else { most };
             out[k] = inside + below[k];
         }
         out

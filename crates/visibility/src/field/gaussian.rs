@@ -127,7 +127,9 @@ impl Default for VisibleShare {
 #[inline(always)]
 pub(super) fn truncate(x: f32) -> u32 {
     const MAGIC: f32 = (1u32 << 23) as f32;
-    (((x - 0.5).max(0.0) + MAGIC).to_bits()) & 0x7f_ffff
+    let x = x - 0.5;
+    let x = if x > 0.0 { x } else { 0.0 };
+    (x + MAGIC).to_bits() & 0x7f_ffff
 }
 
 /// Columns a radian of lobes of some sharpness.

@@ -72,7 +72,8 @@ pub(super) fn acos(x: f32) -> f32 {
         p = p * a + c;
     }
     let r = (1.0 - a).sqrt() * p;
-    if x < 0.0 { PI - r } else { r }
+    // Mirrored at a right angle for negative numbers, without a branch.
+    FRAC_PI_2 - (FRAC_PI_2 - r).copysign(x)
 }
 
 /// `(theta, phi)` of a local unit vector; below the horizon `phi` leaves `[0, pi]` on the nearer side.

@@ -73,7 +73,7 @@ impl Default for Field {
             most_points: 8192,
             rounds: [6, 1],
             gloss_lobes: 2,
-            edge_samples: 8,
+            edge_samples: 4,
             light_samples: 4,
         }
     }
