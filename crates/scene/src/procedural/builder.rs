@@ -66,7 +66,9 @@ impl Builder {
 
     pub fn mesh(&mut self, name: &str, shape: Shape, material: u32) -> u32 {
         let m = &self.scene.materials[material as usize];
-        let textured = m.base_color_texture.is_some() || m.emission_texture.is_some();
+        let textured = m.base_color_texture.is_some()
+            || m.emission_texture.is_some()
+            || m.metallic_roughness_texture.is_some();
         self.scene.meshes.push(Mesh {
             name: name.into(),
             positions: shape.positions,
@@ -86,6 +88,28 @@ impl Builder {
             parent_from_node: place,
         });
         self.scene.nodes.len() as u32 - 1
+    }
+
+    /// A node that moves with another.
+    pub fn node_below(&mut self, name: &str, parent: u32, place: Affine3A) -> u32 {
+        let node = self.node(name, place);
+        self.scene.nodes[node as usize].parent = Some(parent);
+        node
+    }
+
+    /// One mesh on a node.
+    pub fn place_on(&mut self, mesh: u32, node: u32) {
+        self.instance(mesh, node, Affine3A::IDENTITY);
+    }
+
+    /// One mesh that the joints of a skin move.
+    pub fn place_skinned(&mut self, mesh: u32, node: u32, skin: u32) {
+        self.scene.instances.push(Instance {
+            mesh,
+            node,
+            node_from_object: Affine3A::IDENTITY,
+            skin: Some(skin),
+        });
     }
 
     /// One mesh at one place in the world.
@@ -126,6 +150,26 @@ impl Builder {
         side: u32,
         texel: impl Fn(u32, u32) -> [u8; 3],
     ) -> TextureRef {
+        self.texture(name, side, true, texel)
+    }
+
+    /// A repeating texture of numbers, such as roughness.
+    pub fn data_picture(
+        &mut self,
+        name: &str,
+        side: u32,
+        texel: impl Fn(u32, u32) -> [u8; 3],
+    ) -> TextureRef {
+        self.texture(name, side, false, texel)
+    }
+
+    fn texture(
+        &mut self,
+        name: &str,
+        side: u32,
+        srgb: bool,
+        texel: impl Fn(u32, u32) -> [u8; 3],
+    ) -> TextureRef {
         let texels = (0..side * side)
             .map(|i| {
                 let [r, g, b] = texel(i % side, i / side);
@@ -143,7 +187,7 @@ impl Builder {
         self.scene.textures.push(Texture {
             image,
             sampler,
-            srgb: true,
+            srgb,
         });
         let texture = self.scene.textures.len() as u32 - 1;
         TextureRef {

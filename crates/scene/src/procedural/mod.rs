@@ -14,6 +14,7 @@ mod furniture;
 mod hairball;
 mod many_lights;
 mod math;
+mod moving;
 mod shape;
 
 use crate::Scene;
@@ -41,6 +42,12 @@ pub enum Name {
     City,
     /// A hall with ten thousand lights.
     ManyLights,
+    /// A hat that deforms on moving cloth.
+    HatOnCloth,
+    /// Two balls that roll in a dish.
+    BallsInDish,
+    /// A man with a hat who walks.
+    WalkingHat,
 }
 
 impl Name {
@@ -54,6 +61,9 @@ impl Name {
         Self::Courtyard,
         Self::City,
         Self::ManyLights,
+        Self::HatOnCloth,
+        Self::BallsInDish,
+        Self::WalkingHat,
     ];
 
     /// As on the command line.
@@ -67,6 +77,9 @@ impl Name {
             Self::Courtyard => "courtyard",
             Self::City => "city",
             Self::ManyLights => "many-lights",
+            Self::HatOnCloth => "hat-on-cloth",
+            Self::BallsInDish => "balls-in-dish",
+            Self::WalkingHat => "walking-hat",
         }
     }
 
@@ -81,6 +94,9 @@ impl Name {
             Self::Courtyard => "a yard of instanced foliage: ten million triangles seen flat",
             Self::City => "4.9 km of town, from blocks to millimetres",
             Self::ManyLights => "a store house with 10,000 lights",
+            Self::HatOnCloth => "a hat deforms on cloth in the wind, for 4 s",
+            Self::BallsInDish => "two balls roll in a dish, for 5 s",
+            Self::WalkingHat => "a man with a hat walks, for 4 s",
         }
     }
 
@@ -94,6 +110,9 @@ impl Name {
             Self::Courtyard => courtyard::courtyard(detail, seed),
             Self::City => city::city(detail, seed),
             Self::ManyLights => many_lights::many_lights(detail, seed),
+            Self::HatOnCloth => moving::hat_on_cloth(detail, seed),
+            Self::BallsInDish => moving::balls_in_dish(detail, seed),
+            Self::WalkingHat => moving::walking_hat(detail, seed),
         }
     }
 }

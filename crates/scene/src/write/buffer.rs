@@ -71,6 +71,16 @@ impl<'a> Buffers<'a> {
         self.accessor(view, FLOAT, count, kind)
     }
 
+    /// Adds times of keys: their bounds are part of the accessor.
+    pub fn times(&mut self, data: &[f32]) -> usize {
+        let accessor = self.floats(data.to_vec(), "SCALAR", 1);
+        let first = data.iter().copied().fold(f32::INFINITY, f32::min);
+        let last = data.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+        self.accessors[accessor]["min"] = super::vector(&[first]);
+        self.accessors[accessor]["max"] = super::vector(&[last]);
+        accessor
+    }
+
     fn accessor(&mut self, view: usize, component: u32, count: usize, kind: &str) -> usize {
         self.accessors.push(
             json!({"bufferView": view, "componentType": component, "count": count, "type": kind}),

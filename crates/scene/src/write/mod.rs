@@ -7,6 +7,7 @@
 //! Not for round trips of foreign files: what the scene model does not hold (names of images in other formats, custom
 //! extras, unused objects) is gone, and pictures become PNG.
 
+mod animation;
 mod buffer;
 mod lit;
 mod material;
@@ -70,6 +71,7 @@ pub fn write_glb(scene: &Scene, out: &mut impl Write) -> Result<(), WriteError> 
     let mut root = Map::new();
 
     let nodes = node::write(scene, &mut buffers, &mut extensions);
+    let animations = animation::write(scene, &nodes.morphing, &mut buffers);
     let images = material::images(scene, &mut buffers)?;
     let (textures, samplers) = material::textures(scene);
     let materials: Vec<Value> = scene
@@ -109,6 +111,7 @@ pub fn write_glb(scene: &Scene, out: &mut impl Write) -> Result<(), WriteError> 
         ("nodes", nodes.nodes),
         ("meshes", nodes.meshes),
         ("skins", nodes.skins),
+        ("animations", animations),
         ("cameras", nodes.cameras),
         ("materials", materials),
         ("textures", textures),

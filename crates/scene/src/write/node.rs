@@ -8,8 +8,12 @@ use serde_json::{Map, Value, json};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
+/// By node of the scene: the nodes of the file that carry its morphing meshes, and how many targets those have.
+pub(super) type Morphing = BTreeMap<u32, Vec<(usize, usize)>>;
+
 /// The parts of the file that nodes refer to.
 pub(super) struct Nodes {
+    pub morphing: Morphing,
     pub nodes: Vec<Value>,
     pub roots: Vec<usize>,
     pub meshes: Vec<Value>,
@@ -33,10 +37,16 @@ pub(super) fn write<'a>(
         meshes: Vec::new(),
         mesh_of: BTreeMap::new(),
         primitives: BTreeMap::new(),
+        morphing: Morphing::new(),
     };
+    let mut rest = scene.motion.rest.iter().peekable();
     let mut roots = Vec::new();
     for (index, node) in scene.nodes.iter().enumerate() {
-        let mut json = transform(node.parent_from_node);
+        // What moves has no matrix: the file's own numbers are kept.
+        let mut json = match rest.next_if(|rest| rest.node as usize == index) {
+            Some(rest) => parts(rest.translation, rest.rotation, rest.scale),
+            None => transform(node.parent_from_node),
+        };
         if !node.name.is_empty() {
             json.insert("name".into(), node.name.as_str().into());
         }
@@ -72,6 +82,7 @@ pub(super) fn write<'a>(
         }
     }
     Nodes {
+        morphing: tree.morphing,
         nodes: tree.nodes.into_iter().map(Value::Object).collect(),
         roots,
         meshes: tree.meshes,
@@ -92,10 +103,12 @@ struct Tree<'a, 'b> {
     mesh_of: BTreeMap<Vec<u32>, usize>,
     /// Primitives by scene mesh: vertex data is stored once.
     primitives: BTreeMap<u32, Value>,
+    morphing: Morphing,
 }
 
-/// Bits of the transforms of all instances of a mesh under one node, and their skin.
-type Places = (Option<u32>, Vec<[u32; 12]>);
+/// Bits of the transforms of all instances of a mesh under one node, their skin and how many morph targets they have (primitives of a mesh have
+/// equally many).
+type Places = (Option<u32>, usize, Vec<[u32; 12]>);
 
 impl Tree<'_, '_> {
     /// The node itself, or a new child of it where `key` is taken.
@@ -118,8 +131,9 @@ impl Tree<'_, '_> {
     fn instances(&mut self, node: usize, instances: &[&Instance]) {
         let mut places_of: BTreeMap<u32, Places> = BTreeMap::new();
         for i in instances {
-            let (skin, places) = places_of.entry(i.mesh).or_default();
+            let (skin, targets, places) = places_of.entry(i.mesh).or_default();
             *skin = i.skin;
+            *targets = self.scene.meshes[i.mesh as usize].morph_targets.len();
             places.push(i.node_from_object.to_cols_array().map(f32::to_bits));
         }
         let mut meshes_at: BTreeMap<Places, Vec<u32>> = BTreeMap::new();
@@ -129,7 +143,7 @@ impl Tree<'_, '_> {
                 meshes_at.entry(places).or_default().push(mesh);
             }
         }
-        for ((skin, places), meshes) in meshes_at {
+        for ((skin, targets, places), meshes) in meshes_at {
             let mesh = self.mesh(meshes);
             let places: Vec<Affine3A> = places
                 .iter()
@@ -139,7 +153,7 @@ impl Tree<'_, '_> {
             match (places.as_slice(), parts) {
                 ([one], _) if *one == Affine3A::IDENTITY => {
                     let slot = self.slot(node, "mesh");
-                    self.hang(slot, mesh, skin);
+                    self.hang(slot, node, mesh, (skin, targets));
                 }
                 ([_, _, ..], Some(parts)) => {
                     let slot = if self.nodes[node].contains_key("mesh") {
@@ -147,23 +161,36 @@ impl Tree<'_, '_> {
                     } else {
                         node
                     };
-                    self.hang(slot, mesh, skin);
+                    self.hang(slot, node, mesh, (skin, targets));
                     self.instancing(slot, &parts);
                 }
                 _ => {
                     for &place in &places {
                         let slot = self.child(node, transform(place));
-                        self.hang(slot, mesh, skin);
+                        self.hang(slot, node, mesh, (skin, targets));
                     }
                 }
             }
         }
     }
 
-    fn hang(&mut self, node: usize, mesh: usize, skin: Option<u32>) {
+    /// Hangs a mesh of the scene's node `of` on a node of the file.
+    fn hang(&mut self, node: usize, of: usize, mesh: usize, moved: (Option<u32>, usize)) {
+        let (skin, targets) = moved;
         self.nodes[node].insert("mesh".into(), mesh.into());
         if let Some(skin) = skin {
             self.nodes[node].insert("skin".into(), skin.into());
+        }
+        if targets == 0 {
+            return;
+        }
+        let of = of as u32;
+        self.morphing.entry(of).or_default().push((node, targets));
+        let rest = &self.scene.motion.weights;
+        if let Ok(index) = rest.binary_search_by_key(&of, |rest| rest.node) {
+            let mut weights = rest[index].weights.clone();
+            weights.resize(targets, 0.0);
+            self.nodes[node].insert("weights".into(), vector(&weights));
         }
     }
 
@@ -247,26 +274,28 @@ fn decompose(t: Affine3A) -> Option<(Vec3, Quat, Vec3)> {
 }
 
 fn transform(t: Affine3A) -> Map<String, Value> {
-    let mut json = Map::new();
     if t == Affine3A::IDENTITY {
-        return json;
+        return Map::new();
     }
     match decompose(t) {
-        Some((translation, rotation, scale)) => {
-            if translation != Vec3::ZERO {
-                json.insert("translation".into(), vector(&translation.to_array()));
-            }
-            if rotation != Quat::IDENTITY {
-                json.insert("rotation".into(), vector(&rotation.to_array()));
-            }
-            if scale != Vec3::ONE {
-                json.insert("scale".into(), vector(&scale.to_array()));
-            }
-        }
+        Some((translation, rotation, scale)) => parts(translation, rotation, scale),
         None => {
             let matrix = glam::Mat4::from(t).to_cols_array();
-            json.insert("matrix".into(), vector(&matrix));
+            Map::from_iter([("matrix".to_owned(), vector(&matrix))])
         }
+    }
+}
+
+fn parts(translation: Vec3, rotation: Quat, scale: Vec3) -> Map<String, Value> {
+    let mut json = Map::new();
+    if translation != Vec3::ZERO {
+        json.insert("translation".into(), vector(&translation.to_array()));
+    }
+    if rotation != Quat::IDENTITY {
+        json.insert("rotation".into(), vector(&rotation.to_array()));
+    }
+    if scale != Vec3::ONE {
+        json.insert("scale".into(), vector(&scale.to_array()));
     }
     json
 }
