@@ -4,6 +4,7 @@
 //! or bad input, 130 cancelled by Ctrl-C or SIGTERM.
 
 mod bake;
+mod cache;
 mod compare;
 mod context;
 mod error;
@@ -52,6 +53,13 @@ enum Command {
     Bake(Box<bake::BakeArgs>),
     /// Tell what a bake would take: texels, memory, time
     Plan(Box<bake::PlanArgs>),
+    /// Play a scene's animation into pictures or a film, lit by fields of visibility
+    #[command(mut_arg("integrator", |argument| argument.default_value("field")))]
+    #[command(after_help = "Examples:
+  occlude animate walk.glb --environment sky.hdr -o walk_####.png
+  occlude animate walk.glb --environment sky.hdr --frames 0..47 --size 640x480 -o walk.webp
+  occlude animate walk.glb --environment sky.hdr --integrator path --max-depth 1 --frames 6..6 -o frame6.exr")]
+    Animate(Box<render::RenderArgs>),
     /// Tell what is in a scene, with warnings
     Inspect(inspect::InspectArgs),
     /// Measure how two pictures differ
@@ -83,6 +91,7 @@ fn main() -> ExitCode {
 fn run(cli: Cli, began: Instant) -> Result<(), CliError> {
     let name = match &cli.command {
         Command::Render(_) => "render",
+        Command::Animate(_) => "animate",
         Command::Bake(_) => "bake",
         Command::Plan(_) => "plan",
         Command::Inspect(_) => "inspect",
@@ -93,6 +102,7 @@ fn run(cli: Cli, began: Instant) -> Result<(), CliError> {
     let mut context = Context::new(name, cli.common, began)?;
     let result = match cli.command {
         Command::Render(args) => render::run(*args, &mut context),
+        Command::Animate(args) => render::animate(*args, &mut context),
         Command::Bake(args) => bake::run(&args, &mut context),
         Command::Plan(args) => bake::plan(&args, &mut context),
         Command::Inspect(args) => inspect::run(&args, &mut context),
@@ -148,7 +158,7 @@ fn usage_line(text: &str) -> String {
     let help = match command {
         Some(command)
             if [
-                "render", "bake", "plan", "inspect", "compare", "scene", "merge",
+                "render", "animate", "bake", "plan", "inspect", "compare", "scene", "merge",
             ]
             .contains(&command.as_str()) =>
         {

@@ -31,6 +31,9 @@ pub struct Stats {
     /// What the scene holds.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scene_counts: Option<SceneCounts>,
+    /// Fields of visibility: what the lobes that stand for the sky lose.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sky: Option<Sky>,
     /// What rendering did.
     #[serde(flatten, skip_serializing_if = "Option::is_none")]
     pub work: Option<Work>,
@@ -42,6 +45,21 @@ pub struct Stats {
     pub frames: Vec<Frame>,
     /// Memory of the whole process.
     pub memory: Memory,
+}
+
+/// The sky as lobes. Errors are root mean squares in units of the mean.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Sky {
+    /// Spherical Gaussians.
+    pub lobes: usize,
+    /// Sources that are asked about by exact rays.
+    pub suns: usize,
+    /// Of radiance, suns left out.
+    pub radiance_error: f32,
+    /// Of unshadowed irradiance.
+    pub irradiance_error: f32,
+    /// The largest of unshadowed irradiance.
+    pub irradiance_error_worst: f32,
 }
 
 /// The machine.
@@ -113,7 +131,7 @@ pub struct Work {
 }
 
 /// What fields of visibility took for one picture.
-#[derive(Debug, Clone, Copy, Serialize)]
+#[derive(Debug, Clone, Copy, Default, Serialize)]
 pub struct Field {
     /// Seconds for moving points and deciding where they should be.
     pub t_update: f64,
@@ -279,7 +297,9 @@ pub struct Frame {
     pub frame: u32,
     /// Wall-clock seconds, from posing to written files.
     pub seconds: f64,
-    /// Of these, rendering alone.
+    /// Of these, posing and building hierarchies.
+    pub build: f64,
+    /// Rendering alone.
     pub work: f64,
     /// Visibility questions.
     pub queries: u64,
@@ -289,7 +309,7 @@ pub struct Frame {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub vpls_renewed: Option<u32>,
     /// Fields of visibility: what they took.
-    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    #[serde(flatten)]
     pub field: Option<Field>,
 }
 
@@ -356,6 +376,7 @@ impl Stats {
             },
             seconds: Seconds::default(),
             scene_counts: None,
+            sky: None,
             work: None,
             bake: None,
             frames: Vec::new(),

@@ -15,6 +15,7 @@ mod codec;
 mod error;
 mod exr_read;
 mod exr_write;
+mod film;
 mod hdr;
 mod layers;
 mod magma;
@@ -30,6 +31,7 @@ pub use codec::{
     Encoding, Format, Limits, Look, Opened, decode, read, read_layers, write, write_layers,
 };
 pub use error::ImageError;
+pub use film::{FilmFormat, read_display_bytes, write_film};
 pub use layers::{Attribute, Channel, Depth, Layers};
 pub use picture::Picture;
 pub use report::{Named, write_map, write_report};

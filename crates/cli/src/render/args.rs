@@ -199,6 +199,10 @@ pub struct RenderArgs {
     #[command(flatten)]
     pub field: FieldArgs,
 
+    /// Several frames in any case, by default the whole animation.
+    #[arg(skip)]
+    pub animate: bool,
+
     /// Where sample points come from
     #[arg(long, value_enum, default_value_t = Sampler::Sobol, help_heading = "Work")]
     pub sampler: Sampler,
@@ -227,7 +231,7 @@ pub struct RenderArgs {
 
 impl RenderArgs {
     /// Refuses what cannot work before anything is read or written.
-    pub fn check(&mut self) -> Result<(), CliError> {
+    pub fn check(&mut self, memory: Option<u64>) -> Result<(), CliError> {
         if self.denoise {
             return Err(CliError::input(
                 "not built in yet",
@@ -291,7 +295,7 @@ impl RenderArgs {
             ));
         }
         if self.integrator == Integrator::Field {
-            self.field.check()?;
+            self.field.check(memory)?;
             if self.shard.is_some() {
                 return Err(CliError::input(
                     "parts would not add up to the picture of one machine: points follow from the whole picture and from frames before",
@@ -353,7 +357,7 @@ impl RenderArgs {
 
     /// Several pictures, or one that has a frame's number.
     pub fn is_sequence(&self) -> bool {
-        self.frames.is_some() || self.camera_path.is_some()
+        self.frames.is_some() || self.camera_path.is_some() || self.animate
     }
 
     /// Vertical field of view where nothing else says, radians.

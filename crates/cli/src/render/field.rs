@@ -1,9 +1,16 @@
 //! Options of `--integrator field`.
 
+use crate::cache::{self, Cache};
+use crate::context::Context;
 use crate::error::CliError;
+use crate::sky::SkyArgs;
+use crate::stats;
 use crate::values::Thresholds;
 use clap::Args;
+use occlude_image::Picture;
 use occlude_render::integrator::Field;
+use occlude_render::light::{Environment, SkyFit, SkyLobes};
+use occlude_scene::Scene;
 
 /// What fields of visibility know their points by.
 #[derive(Debug, Clone, Args)]
@@ -20,11 +27,22 @@ pub struct FieldArgs {
     /// Fields: texels along a side of a visibility map, a power of two
     #[arg(long, value_name = "N", default_value_t = 128, help_heading = "Work")]
     pub resolution: u32,
+
+    /// Fields: folder in which lobes fitted to skies are kept for later runs, or off [default: occlude in the user's cache folder]
+    #[arg(long, value_name = "DIR|off", value_parser = cache::parse, help_heading = "Work")]
+    pub cache: Option<Cache>,
+
+    /// Points that fit into --memory.
+    #[arg(skip)]
+    pub most_points: Option<u32>,
 }
 
+/// Fewer points than this make no picture.
+const FEWEST_POINTS: u64 = 256;
+
 impl FieldArgs {
-    /// Refuses what cannot be a map.
-    pub fn check(&self) -> Result<(), CliError> {
+    /// Refuses what cannot be a map, or fits into no memory.
+    pub fn check(&mut self, memory: Option<u64>) -> Result<(), CliError> {
         if !self.resolution.is_power_of_two() || !(16..=1024).contains(&self.resolution) {
             return Err(CliError::input(
                 format_args!("{} texels along a side", self.resolution),
@@ -32,16 +50,74 @@ impl FieldArgs {
                 "use 16, 32, 64, 128, 256, 512 or 1024",
             ));
         }
+        if let Some(limit) = memory {
+            // A bit and a half-float a texel.
+            let texels = u64::from(self.resolution).pow(2);
+            let bytes = texels / 8 + texels * 2;
+            let fit = limit / bytes;
+            if fit < FEWEST_POINTS {
+                return Err(CliError::input(
+                    format_args!(
+                        "fields of {FEWEST_POINTS} points take {} bytes at {} texels a side, the limit is {limit}",
+                        FEWEST_POINTS * bytes,
+                        self.resolution
+                    ),
+                    "--resolution",
+                    format_args!(
+                        "raise --memory, or use --resolution {}",
+                        (self.resolution / 2).max(16)
+                    ),
+                ));
+            }
+            self.most_points = u32::try_from(fit).ok();
+        }
         Ok(())
     }
 
     /// The integrator's settings.
     pub fn settings(&self) -> Field {
+        let usual = Field::default();
+        let fit = self.most_points.unwrap_or(u32::MAX);
         Field {
             insert_above: self.threshold.insert_above,
             erase_below: self.threshold.erase_below,
             resolution: self.resolution,
-            ..Field::default()
+            most_points: usual.most_points.min(fit),
+            ..usual
         }
+    }
+
+    /// The sky's lobes, from the cache if they are known; tells what they lose.
+    pub fn sky(
+        &self,
+        args: &SkyArgs,
+        picture: Option<&Picture>,
+        scene: &Scene,
+        context: &mut Context,
+    ) -> SkyLobes {
+        let environment = args.environment(picture);
+        let environment = environment.unwrap_or_else(|| Environment::constant(scene.sky));
+        let folder = match &self.cache {
+            Some(Cache(folder)) => folder.clone(),
+            None => cache::default_folder(),
+        };
+        let lobes = context.phase("sky", |_| {
+            environment.lobes_kept(&SkyFit::default(), folder.as_deref())
+        });
+        let (lost, suns) = (lobes.residual, lobes.suns.len());
+        context.progress.note(&format!(
+            "sky: {} lobes and {suns} suns; irradiance is off by {:.2} % of its mean, {:.2} % at most",
+            lobes.lobes.len(),
+            100.0 * lost.irradiance,
+            100.0 * lost.irradiance_worst
+        ));
+        context.stats.sky = Some(stats::Sky {
+            lobes: lobes.lobes.len(),
+            suns,
+            radiance_error: lost.radiance,
+            irradiance_error: lost.irradiance,
+            irradiance_error_worst: lost.irradiance_worst,
+        });
+        lobes
     }
 }

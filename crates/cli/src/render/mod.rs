@@ -1,13 +1,16 @@
 //! `occlude render`: a scene becomes a picture.
 
+mod animate;
 mod args;
 mod baked;
 mod camera_path;
 mod field;
+mod film;
 mod sequence;
 mod setup;
 mod strategy;
 
+pub use animate::run as animate;
 pub use args::RenderArgs;
 
 use crate::context::Context;
@@ -23,7 +26,7 @@ use occlude_render::film::Film;
 use occlude_render::geometry::Geometry;
 use occlude_render::integrator::{
     self, BidirectionalLimits, InstantRadiosity, PathLimits, RenderReport, RenderSettings,
-    StoppedBy, World, render,
+    Sequence, StoppedBy, World,
 };
 use occlude_render::light::Lights;
 use occlude_render::sampling::SamplerKind;
@@ -41,9 +44,9 @@ const CHECKPOINT_PERIOD: Duration = Duration::from_secs(60);
 
 /// Runs `occlude render`.
 pub fn run(mut args: RenderArgs, context: &mut Context) -> Result<(), CliError> {
-    args.check()?;
+    args.check(context.common.memory)?;
     if args.is_sequence() {
-        return sequence::run(args, context);
+        return sequence::run(args, context).map(drop);
     }
     check_memory(&args, context)?;
     let (scene, sky) = context.phase("load", |context| load(&args, context))?;
@@ -201,6 +204,13 @@ fn work<'a, V: Visibility<Geometry<'a>>>(
     signals::graceful();
     let save = |film: &Film| output::write(&checkpoint, |mut out| part.write(film, &mut out));
     let mut saved = Instant::now();
+    let mut sequence = Sequence::default();
+    if args.integrator == Integrator::Field {
+        sequence.set_sky(
+            args.field
+                .sky(&args.sky, sky, world.geometry.scene, context),
+        );
+    }
     let report = context.phase("work", |context| {
         let mut at_rest = |film: &Film| {
             // A checkpoint that cannot be written now is tried again later, and reported at the end.
@@ -209,7 +219,7 @@ fn work<'a, V: Visibility<Geometry<'a>>>(
                 saved = Instant::now();
             }
         };
-        render(
+        sequence.render(
             world,
             view,
             visibility,

@@ -3,6 +3,7 @@
 //! What stands still is built once. Caches and virtual lights stay from frame to frame where that is right: while nothing but
 //! the camera moves, or, where objects move, for the part of the world that does not.
 
+use super::args::Integrator;
 use super::camera_path::CameraPath;
 use super::setup::{self, load, view};
 use super::strategy::Strategy;
@@ -21,7 +22,7 @@ use occlude_render::geometry::{Geometry, Still};
 use occlude_render::integrator::{RenderReport, RenderSettings, Sequence, StoppedBy, World};
 use occlude_render::light::Lights;
 use occlude_render::work::shard_samples;
-use occlude_scene::{Pose, Scene, moving_instances};
+use occlude_scene::{Instance, Pose, Scene, moving_instances};
 use occlude_visibility::two_part::TwoPart;
 use occlude_visibility::{Exact, Occluder, Visibility};
 use std::collections::BTreeSet;
@@ -42,24 +43,45 @@ struct Plan<'p> {
     settings: RenderSettings,
     /// Which instances move.
     moving: Vec<bool>,
+    /// Whether tables of lights are good for one frame alone.
+    lights_move: bool,
     /// Keep what moves apart from what stands still.
     apart: bool,
     fingerprint: u64,
 }
 
-/// Runs `occlude render` for frames.
-pub fn run(mut args: RenderArgs, context: &mut Context) -> Result<(), CliError> {
+/// What has been made.
+pub struct Done {
+    /// The first output's files, frame by frame.
+    pub pictures: Vec<PathBuf>,
+    /// Frames a second.
+    pub fps: f32,
+}
+
+/// Runs `occlude render` for frames, or `occlude animate`.
+pub fn run(mut args: RenderArgs, context: &mut Context) -> Result<Done, CliError> {
     let path = match &args.camera_path {
         Some(file) => Some(CameraPath::read(file, args.field_of_view().to_degrees())?),
         None => None,
     };
-    let all = match (args.frames, &path) {
-        (Some(frames), _) => frames,
-        (None, Some(path)) => path.frames()?,
-        (None, None) => Frames { first: 0, last: 0 },
+    let known = match (args.frames, &path) {
+        (Some(frames), _) => Some(frames),
+        (None, Some(path)) => Some(path.frames()?),
+        (None, None) => None,
+    };
+    if let Some(frames) = known {
+        check_names(&args, frames)?;
+    }
+    check_memory(&args, context)?;
+    let (scene, sky) = context.phase("load", |context| load(&args, context))?;
+    if args.animate && path.is_none() {
+        check_motion(&args, &scene, context)?;
+    }
+    let all = match known {
+        Some(frames) => frames,
+        None => whole_animation(&args, &scene)?,
     };
     check_names(&args, all)?;
-    check_memory(&args, context)?;
     if let Some(path) = &path {
         for frame in all.first..=all.last {
             path.view(frame, args.size)?;
@@ -71,7 +93,6 @@ pub fn run(mut args: RenderArgs, context: &mut Context) -> Result<(), CliError> 
         shard_samples(all.count(), shard.index, shard.count)
     });
     let args = &args;
-    let (scene, sky) = context.phase("load", |context| load(args, context))?;
     let scene = &scene;
     let times = (all.first..=all.last).map(|frame| time(frame, args.fps));
     let moving = moving_instances(scene, times);
@@ -87,7 +108,16 @@ pub fn run(mut args: RenderArgs, context: &mut Context) -> Result<(), CliError> 
         frames: part.map(|index| all.first + index).collect(),
         settings,
         apart: matches!(args.visibility, Strategy::Quantized(_)) && moving.contains(&true),
+        lights_move: lights_move(args, scene, &moving),
         moving,
+    };
+    let done = Done {
+        pictures: plan
+            .frames
+            .iter()
+            .map(|&frame| name(&args.output[0], frame))
+            .collect(),
+        fps: args.fps,
     };
     match &args.visibility {
         Strategy::Quantized(options) => {
@@ -101,7 +131,53 @@ pub fn run(mut args: RenderArgs, context: &mut Context) -> Result<(), CliError> 
         }
         Strategy::Exact => plan.render(context, first, Exact),
         Strategy::Occluder => plan.render(context, first, Occluder::default()),
+    }?;
+    Ok(done)
+}
+
+/// Something must move.
+fn check_motion(args: &RenderArgs, scene: &Scene, context: &Context) -> Result<(), CliError> {
+    let clips = &scene.motion.clips;
+    if clips.iter().all(|clip| clip.channels.is_empty()) {
+        let what = if clips.is_empty() {
+            "no animation"
+        } else {
+            "animation without keyframes"
+        };
+        return Err(CliError::input(
+            what,
+            args.scene.display(),
+            "export the scene with its animation, or move the camera with --camera-path",
+        ));
     }
+    if clips.iter().all(|clip| clip.length <= 0.0) {
+        context.warn(format_args!(
+            "the animation is 0 s long, nothing will move: {}",
+            args.scene.display()
+        ));
+    }
+    Ok(())
+}
+
+/// From the first key to the last one.
+fn whole_animation(args: &RenderArgs, scene: &Scene) -> Result<Frames, CliError> {
+    let clips = scene.motion.clips.iter();
+    let seconds = clips.map(|clip| clip.length).fold(0.0, f32::max);
+    // A hair more, for lengths that are a whole number of frames but for rounding.
+    let last = (f64::from(seconds) * f64::from(args.fps) + 1e-3).floor();
+    Frames::new(0, last.clamp(0.0, f64::from(u32::MAX)) as u32)
+        .map_err(|error| CliError::input(error, "--frames", "say which frames you want"))
+}
+
+/// Whether something moves that lights are picked by.
+fn lights_move(args: &RenderArgs, scene: &Scene, moving: &[bool]) -> bool {
+    let shines = |instance: &Instance| {
+        let mesh = &scene.meshes[instance.mesh as usize];
+        scene.materials[mesh.material as usize].emission != glam::Vec3::ZERO
+    };
+    // Powers of suns and skies depend on the size of the scene.
+    (args.lights == super::args::Lights::Power && moving.contains(&true))
+        || (scene.instances.iter().zip(moving)).any(|(instance, moves)| *moves && shines(instance))
 }
 
 /// Seconds into the animation.
@@ -158,6 +234,7 @@ impl Plan<'_> {
         let args = self.args;
         let checkpoint = args.checkpoint_path();
         let mut done = self.done(&checkpoint)?;
+        let done_at_start = done.clone();
         let remembers = matches!(args.visibility, Strategy::Quantized(_));
         let renewal = args.renew_vpls.unwrap_or(Renewal(remembers.then_some(1)));
         let mut sequence = renewal.0.map_or_else(Sequence::default, Sequence::renewing);
@@ -168,16 +245,33 @@ impl Plan<'_> {
             Still::new(self.scene, &pose, moving, &options)
         });
         let still = still.map_err(|error| self.untraceable(error))?;
+        let field = args.integrator == Integrator::Field;
+        if field {
+            sequence.set_sky(
+                args.field
+                    .sky(&args.sky, self.sky.as_ref(), self.scene, context),
+            );
+        }
+        // Fields depend on the frames before: those that are done are gone through again.
+        let replayed = |frame: &u32| {
+            field
+                && self
+                    .frames
+                    .iter()
+                    .any(|other| other > frame && !done_at_start.contains(other))
+        };
         let mut lights: Option<Lights> = None;
         let mut total: Option<Total> = None;
         let finish = finish(args, self.scene, context.common.seed);
         let mut counts = counts(self.scene);
         context.progress.expect(args.time_limit);
         signals::graceful();
+        let working_since = Instant::now();
         let mut cancelled = false;
         for &frame in &self.frames {
             let names = self.names(frame);
-            if done.contains(&frame) && names.iter().all(|name| name.exists()) {
+            let replay = done_at_start.contains(&frame) && names.iter().all(|name| name.exists());
+            if replay && !replayed(&frame) {
                 continue;
             }
             if context.job.is_cancelled() {
@@ -190,8 +284,10 @@ impl Plan<'_> {
             if pose.time != now && !self.scene.motion.clips.is_empty() {
                 let before = std::mem::replace(&mut pose, Pose::at(self.scene, now));
                 if geometry_moved || before.lights != pose.lights {
-                    lights = None;
                     sequence.world_moved();
+                }
+                if self.lights_move || before.lights != pose.lights {
+                    lights = None;
                 }
             }
             let geometry = context.phase("build", |_| {
@@ -215,6 +311,7 @@ impl Plan<'_> {
                 Some(path) => path.view(frame, args.size)?,
                 None => view(args, self.scene, &pose)?,
             };
+            let build = began.elapsed().as_secs_f64();
             let world = World {
                 geometry: &geometry,
                 lights,
@@ -239,22 +336,32 @@ impl Plan<'_> {
                 cancelled = true;
                 break;
             }
-            context.phase("write", |_| finish.write(&film, &names))?;
             visibility.next_picture();
+            if replay {
+                continue;
+            }
+            context.phase("write", |_| finish.write(&film, &names))?;
             done.insert(frame);
             self.save(&checkpoint, &done)?;
             context.stats.frames.push(stats::Frame {
                 frame,
                 seconds: began.elapsed().as_secs_f64(),
+                build,
                 work,
                 queries: report.visibility.queries,
                 traced: report.visibility.traced,
                 vpls_renewed: report.instant_radiosity.map(|ir| ir.renewed),
-                field: report.field.map(|field| stats::Field::of(&field)),
+                field: self.parts(&report, build, work),
             });
-            context
-                .progress
-                .note(&format!("frame {frame}: {work:.2} s"));
+            let whole = self.frames.iter().filter(|f| done.contains(f)).count();
+            let left = self.frames.len() - whole;
+            let rendered = context.stats.frames.len() as f64;
+            let pace = working_since.elapsed().as_secs_f64() / rendered;
+            context.progress.note(&format!(
+                "frame {frame}: {work:.2} s; {left} of {} to go, about {:.0} s",
+                self.frames.len(),
+                left as f64 * pace
+            ));
         }
         context.progress.finish();
         if let Some(total) = &total {
@@ -289,6 +396,26 @@ impl Plan<'_> {
         }
         let _ = std::fs::remove_file(&checkpoint);
         Ok(())
+    }
+
+    /// Where a frame's time went.
+    fn parts(&self, report: &RenderReport, build: f64, work: f64) -> Option<stats::Field> {
+        let rays = report.rays.primary + report.rays.secondary + report.visibility.traced;
+        match report.field {
+            Some(field) => {
+                let parts = stats::Field::of(&field);
+                Some(stats::Field {
+                    t_update: parts.t_update + build,
+                    ..parts
+                })
+            }
+            None => self.args.animate.then_some(stats::Field {
+                t_update: build,
+                t_integration: work,
+                rays,
+                ..stats::Field::default()
+            }),
+        }
     }
 
     fn untraceable(&self, error: impl std::fmt::Display) -> CliError {
