@@ -17,11 +17,13 @@
 //!
 //! None of these is a significance test: for noise against noise use the z-test on stored variance.
 
+mod flicker;
 pub mod flip;
 mod ssim;
 
 use serde::Serialize;
 
+pub use flicker::{Flicker, flicker};
 pub use ssim::ssim;
 
 use crate::{Encoding, ImageError, Picture, picture::luminance, srgb_encode};
