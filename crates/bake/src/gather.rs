@@ -37,6 +37,8 @@ pub struct PathSettings {
     pub part: Part,
     /// Reflections on the way from the light to the point at most; 0: direct light alone.
     pub bounces: u32,
+    /// Rays that are not aimed at lights may meet light. If not, none are sent from a path's last vertex.
+    pub luminous: bool,
     /// Reach of [`Part::Occlusion`], metres.
     pub reach: f32,
     /// Seed of all random decisions.
@@ -305,6 +307,9 @@ impl Gatherer {
         let [u, v, pick, _] = sampler.next();
         let normal = surface.shading_normal();
         let origin = offset_along_normal(surface.position, surface.normal, surface.extent);
+        let is_end = !settings.luminous
+            && settings.part != Part::Occlusion
+            && reflections >= settings.bounces;
         let direct = match settings.part {
             Part::Occlusion => false,
             Part::Indirect => reflections > 0,
@@ -321,7 +326,7 @@ impl Gatherer {
             && light.wi.dot(surface.normal) > 0.0
         {
             let cos = normal.dot(light.wi).max(0.0);
-            let weight = if light.delta {
+            let weight = if light.delta || is_end {
                 1.0
             } else {
                 power_heuristic(light.pdf, cos * FRAC_1_PI)
@@ -337,6 +342,9 @@ impl Gatherer {
                     contribution,
                 });
             }
+        }
+        if is_end {
+            return;
         }
         let [u, v, ..] = sampler.next();
         let local = warp::cosine_hemisphere(Vec2::new(u, v));

@@ -6,6 +6,7 @@
 //! direction, each at the price that it had on the machine where the prices were measured.
 
 use crate::bundle::{self, Directions, Radiance};
+use crate::export::FINISHING_BYTES_PER_TEXEL;
 use crate::gather::Gatherer;
 use crate::rounds::{Bake, Round, RoundKind};
 use crate::sums::Sums;
@@ -71,8 +72,8 @@ const FRAGMENT: f64 = 14.0;
 const ANALYSIS_PIXEL: f64 = 12.0;
 
 impl Bake<'_> {
-    /// What will be held. Counts capacity that is sure to be used; `sky` and `lights` are small.
-    pub fn memory(&self) -> Memory {
+    /// What will be held. `scene_file`: bytes of the file that the scene came from, which is read again when the scene is written.
+    pub fn memory(&self, scene_file: u64) -> Memory {
         let sides = u64::from(self.sides());
         let map = size_of::<Vec3>() as u64 * sides;
         let units = (0..self.rounds().len() as u32).map(|round| self.units_of(round));
@@ -92,6 +93,14 @@ impl Bake<'_> {
             None => 0,
         };
         let threads = rayon::current_num_threads() as u64;
+        let bundles = match self.subject.triangles {
+            Some(_) => {
+                // Two maps of the analysis with their mipmaps; lists of triangles; fragments of a bin and waiting terms, a thread.
+                let analysis = u64::from(self.settings.bundles.analysis).pow(2) * 8 * 4 / 3;
+                analysis + BUNDLE_BYTES + threads * BUNDLE_THREAD_BYTES
+            }
+            None => 0,
+        };
         let largest = self
             .subject
             .texels
@@ -102,9 +111,10 @@ impl Bake<'_> {
         let largest = u64::from(largest.max().unwrap_or(0));
         Memory {
             gathering: state + maps + transport + threads * WORKER_BYTES,
-            least_buffers: 0,
-            buffers: 0,
-            writing: state + maps / 2 + largest * WRITING_BYTES_PER_TEXEL,
+            least_buffers: bundles,
+            buffers: bundles,
+            writing: (state + maps + largest * WRITING_BYTES_PER_TEXEL)
+                .max(state + maps + scene_file * SCENE_FILE_COPIES),
         }
     }
 
@@ -216,5 +226,14 @@ impl Bake<'_> {
 /// Batches of samples and their rays, a thread.
 const WORKER_BYTES: u64 = 8 << 20;
 
-/// Copies of a page while it is finished and encoded.
-const WRITING_BYTES_PER_TEXEL: u64 = 80;
+/// A page while it is finished and encoded.
+const WRITING_BYTES_PER_TEXEL: u64 = FINISHING_BYTES_PER_TEXEL + 16;
+
+/// The file, its parts decoded, and the file that is written.
+const SCENE_FILE_COPIES: u64 = 3;
+
+/// Lists of the triangles of bins.
+const BUNDLE_BYTES: u64 = 8 << 20;
+
+/// Fragments of a bin and terms on their way, a thread.
+const BUNDLE_THREAD_BYTES: u64 = 12 << 20;

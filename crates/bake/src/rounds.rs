@@ -68,6 +68,8 @@ pub struct Subject<'a> {
     pub triangles: Option<&'a Triangles<'a>>,
     /// For bundles: the sky that comes in at open ends, which is not among the lights of `world`, and its largest channel.
     pub sky: Option<(&'a Environment, f32)>,
+    /// Rays that are not aimed at lights may meet light: surfaces emit, or there is a sky among the lights (suns apart).
+    pub luminous: bool,
 }
 
 /// What one round does.
@@ -97,8 +99,8 @@ pub struct Round {
 /// Direct light takes one sample for so many directions: its shadow rays are aimed at lights.
 const DIRECTIONS_PER_DIRECT_SAMPLE: u32 = 4;
 
-/// Fewer samples of direct light look bad whatever the rest.
-const LEAST_DIRECT_SAMPLES: u32 = 16;
+/// Fewer samples of direct light are too few whatever the rest.
+const LEAST_DIRECT_SAMPLES: u32 = 4;
 
 /// The rounds of a bake. `sky`: there is a sky for bundles.
 pub fn rounds(settings: &Settings, sky: bool) -> Vec<Round> {
@@ -417,6 +419,7 @@ impl<'a> Bake<'a> {
         PathSettings {
             part,
             bounces,
+            luminous: self.subject.luminous,
             reach: self.settings.reach,
             seed: self.settings.seed,
         }

@@ -185,6 +185,24 @@ fn killed_or_cancelled_and_resumed_it_ends_in_the_same_bytes() {
 }
 
 #[test]
+fn what_has_not_changed_is_not_baked_again() {
+    let dir = Dir::new();
+    dir.must("scene cornell -o c.glb");
+    let base = "bake c.glb -o out --gather path --directions 8 --texels-per-metre 4";
+    dir.must(base);
+    let first = maps(&dir, "out");
+    let written = |dir: &Dir| {
+        let data = std::fs::metadata(dir.path("out/lightmap_000.exr")).unwrap();
+        data.modified().unwrap()
+    };
+    let before = written(&dir);
+    dir.must(base);
+    assert_eq!(before, written(&dir));
+    dir.must(&format!("{base} --engine godot"));
+    assert!(before != written(&dir) && first != maps(&dir, "out"));
+}
+
+#[test]
 fn checkpoints_of_other_works_and_damaged_ones_are_refused() {
     let dir = Dir::new();
     dir.must("scene cornell -o c.glb");
@@ -298,4 +316,49 @@ fn direct_and_indirect_add_up_and_time_and_noise_stop() {
         ));
         assert_eq!(dir.json("s.json")["stopped_by"], "time");
     }
+}
+
+/// `docs/examples/bake_dask.py` with a local cluster; `$OCCLUDE_PYTHON` names a Python that has `dask.distributed`.
+#[test]
+fn the_dask_script_gives_the_bytes_of_one_machine() {
+    let python = std::env::var("OCCLUDE_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    let has_dask = std::process::Command::new(&python)
+        .args(["-c", "import dask.distributed"])
+        .output();
+    if !has_dask.is_ok_and(|output| output.status.success()) {
+        eprintln!("SKIPPED: {python} has no dask.distributed: the example script is not tested");
+        return;
+    }
+    let dir = Dir::new();
+    dir.must("scene cornell -o c.glb");
+    let options = [
+        "--gather",
+        "bundles",
+        "--directions",
+        "16",
+        "--bounces",
+        "1",
+        "--texels-per-metre",
+        "6",
+    ];
+    dir.must(&format!("bake c.glb -o one {}", options.join(" ")));
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/bake_dask.py");
+    let run = std::process::Command::new(&python)
+        .current_dir(dir.path("."))
+        .arg(script)
+        .args([
+            "c.glb",
+            "many",
+            "--parts",
+            "4",
+            "--occlude",
+            env!("CARGO_BIN_EXE_occlude"),
+            "--",
+        ])
+        .args(options)
+        .output()
+        .unwrap();
+    let log = String::from_utf8_lossy(&run.stderr).into_owned();
+    assert!(run.status.success(), "{log}");
+    assert_eq!(maps(&dir, "one"), maps(&dir, "many"));
 }

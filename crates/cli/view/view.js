@@ -117,11 +117,11 @@ async function start() {
   gltf.scene.traverse((object) => {
     if (object.isLight) object.visible = false;
     if (!object.isMesh) return;
-    const entries = manifest.nodes.filter((node) => node.node === nodeOf(object));
-    const primitive = gltf.parser.associations.get(object)?.primitives ?? 0;
-    const node = entries.find((entry) => entry.primitive === primitive) ?? entries[0];
+    const index = nodeOf(object);
+    // Of many instances in one node only the first one's rectangle is shown: three.js has one material for all.
+    const node = manifest.nodes.find((entry) => entry.node === index);
     const lit = node && object.geometry.attributes.uv1 && pages[node.page];
-    const key = `${object.material.uuid} ${lit ? node.node : ''} ${lit ? primitive : ''}`;
+    const key = `${object.material.uuid} ${lit ? index : ''}`;
     if (!made.has(key)) {
       const map = lit ? place(pages[node.page], node) : null;
       const material = litMaterial(object.material, map, intensity);

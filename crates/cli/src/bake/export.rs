@@ -2,60 +2,141 @@
 
 use super::Setup;
 use super::args::{BakeArgs, EngineName};
+use crate::context::Context;
 use crate::error::CliError;
 use crate::output;
 use glam::Vec3;
+use occlude_bake::export::{self, Engine, ExportError, ExportSettings, Insides, Light};
+use occlude_bake::finish::denoise::DenoiseSettings;
 use occlude_bake::rounds::Bake;
 use occlude_bake::state::State;
-use occlude_image::{Depth, Layers, Look, Picture};
-use serde_json::json;
-use std::f32::consts::FRAC_1_PI;
+use occlude_bake::texel::Texels;
+use occlude_bake::texel::validity::Solids;
+use occlude_render::job::Job;
+use occlude_scene::Scene;
 
 /// The viewer's page, made from crates/cli/view.
 const VIEW: &str = include_str!("../../view/view.html");
 
+/// Texels around charts that are filled: as many as the atlas keeps them apart.
+const DILATE: u32 = 4;
+
+/// The light of a bake that is done.
+struct Gathered<'a> {
+    bake: &'a Bake<'a>,
+    state: &'a State,
+}
+
+impl Light for Gathered<'_> {
+    fn irradiance(&self, texel: u32) -> [f32; 3] {
+        let light = self.bake.irradiance(self.state, texel);
+        light.unwrap_or(Vec3::ZERO).to_array()
+    }
+
+    fn is_known(&self, texel: u32) -> bool {
+        self.bake.irradiance(self.state, texel).is_some()
+    }
+}
+
 /// Writes the output folder.
-pub fn write(args: &BakeArgs, setup: &Setup, bake: &Bake, state: &State) -> Result<(), CliError> {
+pub fn write(
+    args: &BakeArgs,
+    setup: &Setup,
+    bake: &Bake,
+    state: &State,
+    context: &Context,
+) -> Result<(), CliError> {
     let folder = &args.output;
     std::fs::create_dir_all(folder)
         .map_err(|error| CliError::failed("cannot make the folder", folder.display(), error))?;
-    let (quantity, factor) = match args.engine {
-        EngineName::Three => ("irradiance", 1.0),
-        EngineName::Bevy | EngineName::Godot | EngineName::Blender => ("irradiance/pi", FRAC_1_PI),
+    let _ = std::fs::remove_file(folder.join(FINGERPRINT));
+    let settings = ExportSettings {
+        engine: match args.engine {
+            EngineName::Three => Engine::Three,
+            EngineName::Bevy => Engine::Bevy,
+            EngineName::Godot => Engine::Godot,
+            EngineName::Blender => Engine::Blender,
+        },
+        denoise: args.denoise.then(DenoiseSettings::default),
+        dilate: DILATE,
+        stitch: true,
     };
-    let mut pages = Vec::new();
-    for (number, page) in setup.built.atlas.pages.iter().enumerate() {
-        let pixels = (0..page.texels())
-            .map(|k| {
-                let light = bake.irradiance(state, page.first_texel + k);
-                (light.unwrap_or(Vec3::ZERO) * factor).to_array()
-            })
-            .collect();
-        let picture = Picture {
-            width: page.width,
-            height: page.height,
-            pixels,
-        };
-        let layers = Layers::from_picture(&picture, Depth::Half);
-        let name = format!("lightmap_{number:03}.exr");
-        occlude_image::write_layers(&folder.join(&name), &layers, Look::default())?;
-        let preview = folder.join(format!("lightmap_{number:03}.png"));
-        occlude_image::write(&preview, &picture, Look::default())?;
-        pages.push(json!({"file": name, "width": page.width, "height": page.height}));
-    }
-    let manifest = json!({
-        "schema": 1,
-        "scene": setup.loaded.scene.name,
-        "quantity": quantity,
-        "engine": format!("{:?}", args.engine).to_lowercase(),
-        "pages": pages,
-        "nodes": [],
-    });
-    output::write(&folder.join("manifest.json"), |out| {
-        out.write_all(serde_json::to_string_pretty(&manifest)?.as_bytes())
-    })?;
+    let solids = Solids::of(&setup.loaded.scene);
+    let insides = Insides {
+        geometry: setup.geometry,
+        solids: &solids,
+    };
+    let spare = (context.common.memory)
+        .map(|limit| limit.saturating_sub(crate::stats::resident_memory()) / 2);
+    let nodes = write_scene(args, setup)?;
+    // Cancelling now would only lose what is done: the rest is a matter of seconds.
+    let exported = export::write(
+        folder,
+        setup.texels,
+        &Gathered { bake, state },
+        Some(insides),
+        &nodes,
+        &settings,
+        spare,
+        &Job::new(),
+    )
+    .map_err(|error| failed(error, args))?;
     output::write(&folder.join("view.html"), |out| {
         out.write_all(VIEW.as_bytes())
     })?;
+    // Last: it says that all the rest is there.
+    let done = fingerprint(args, setup);
+    output::write(&folder.join(FINGERPRINT), |out| {
+        out.write_all(done.as_bytes())
+    })?;
+    if exported.filled > 0 {
+        context.progress.note(&format!(
+            "{} texels lie inside of something and take the light of their neighbours",
+            exported.filled
+        ));
+    }
     Ok(())
+}
+
+/// File that says what a folder holds the bake of.
+const FINGERPRINT: &str = "fingerprint";
+
+/// Tells outputs apart, not only what was gathered for them.
+fn fingerprint(args: &BakeArgs, setup: &Setup) -> String {
+    let open_ended = (args.work.time_limit, args.work.noise);
+    let text = format!("{:?}", (args.engine, args.denoise, open_ended));
+    format!("{:016x} {text}\n", setup.fingerprint)
+}
+
+/// Whether the folder holds this bake already.
+pub fn is_up_to_date(args: &BakeArgs, setup: &Setup) -> bool {
+    let before = std::fs::read_to_string(args.output.join(FINGERPRINT));
+    before.is_ok_and(|before| before == fingerprint(args, setup))
+        && args.output.join("manifest.json").is_file()
+        && args.output.join("scene.glb").is_file()
+}
+
+/// The scene with its second UV set; files that are no glTF are written from the scene itself, with the materials that it had.
+fn write_scene(
+    args: &BakeArgs,
+    setup: &Setup,
+) -> Result<Vec<occlude_scene::WrittenNode>, CliError> {
+    let written = if setup.is_gltf() {
+        export::write_scene(&args.output, setup.texels)
+    } else {
+        let scene = Scene {
+            materials: setup.originals.to_vec(),
+            ..setup.loaded.scene.clone()
+        };
+        let texels = Texels::new(&scene, setup.pose, &setup.built.atlas);
+        export::write_scene(&args.output, &texels)
+    };
+    written.map_err(|error| failed(error, args))
+}
+
+fn failed(error: ExportError, args: &BakeArgs) -> CliError {
+    match error {
+        ExportError::Image(error) => error.into(),
+        error => CliError::failed(error, args.output.display(), "nothing else was changed"),
+    }
 }

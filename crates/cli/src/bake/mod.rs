@@ -10,7 +10,7 @@ use crate::context::Context;
 use crate::error::CliError;
 use crate::{VERSION, output, signals, stats};
 use args::{GatherName, LightPart, WorkArgs};
-use occlude_bake::atlas::Built;
+use occlude_bake::atlas::{Atlas, Built};
 use occlude_bake::bundle::{self, Triangles};
 use occlude_bake::gather::Part;
 use occlude_bake::plan::Estimate;
@@ -61,6 +61,14 @@ struct Setup<'a> {
     peak: u64,
 }
 
+impl Setup<'_> {
+    /// The scene's file is glTF: it is edited, not written anew.
+    fn is_gltf(&self) -> bool {
+        let ending = self.loaded.scene.path.extension().unwrap_or_default();
+        ["gltf", "glb"].contains(&ending.to_string_lossy().to_lowercase().as_str())
+    }
+}
+
 /// Loads and lays out a scene, and hands it over. `estimated`: with an estimate of the time.
 fn prepared<T>(
     work: &WorkArgs,
@@ -104,8 +112,14 @@ fn prepared<T>(
             texels: &texels,
             triangles: triangles.as_ref().filter(|_| gather == GatherKind::Bundles),
             sky: sky.even.as_ref().map(|(sky, brightest)| (sky, *brightest)),
+            luminous: sky.luminous,
         };
-        let tried = Bake::new(subject, settings(work, gather, seed), 0, String::new());
+        let tried = Bake::new(
+            subject,
+            settings(work, &built.atlas, gather, seed),
+            0,
+            String::new(),
+        );
         let job = context.job.clone();
         let estimate = context.phase("plan", |_| tried.estimate(&job));
         let better = best.as_ref().is_none_or(|(_, best)| {
@@ -134,7 +148,7 @@ fn prepared<T>(
             "add --environment FILE or --sun AZ,EL (such as --sun 45,45), or use --light ao",
         ));
     }
-    let fingerprint = fingerprint(work, &loaded, &pose, gather, context);
+    let fingerprint = fingerprint(work, &loaded, &pose, &built.atlas, gather, context);
     let bake = Bake::new(
         Subject {
             world: World {
@@ -144,13 +158,14 @@ fn prepared<T>(
             texels: &texels,
             triangles: triangles.as_ref(),
             sky: sky.even.as_ref().map(|(sky, brightest)| (sky, *brightest)),
+            luminous: sky.luminous,
         },
-        settings(work, gather, seed),
+        settings(work, &built.atlas, gather, seed),
         fingerprint,
         notes()?,
     );
     let (now, so_far) = (stats::resident_memory(), stats::peak_memory());
-    let memory = bake.memory();
+    let memory = bake.memory(std::fs::metadata(&work.scene).map_or(0, |data| data.len()));
     let with = |more: u64| so_far.max(now + more + more / 16 + SLACK_BYTES);
     let setup = Setup {
         loaded: &loaded,
@@ -199,6 +214,13 @@ fn gather(
     parts: &[PathBuf],
 ) -> Result<(), CliError> {
     let checkpoint = args.checkpoint_path();
+    if parts.is_empty() && args.shard.is_none() && export::is_up_to_date(args, setup) {
+        context.progress.note(&format!(
+            "{}: nothing has changed since it was baked",
+            args.output.display()
+        ));
+        return Ok(());
+    }
     let state = if parts.is_empty() {
         start(args, bake, setup.fingerprint, context)?
     } else {
@@ -235,7 +257,9 @@ fn gather(
         args.shard.is_none() && bake.is_last(&state) && (parts.is_empty() || state.is_complete());
     let (round, rounds) = (state.header.round, state.header.rounds);
     if whole {
-        context.phase("write", |_| export::write(args, setup, bake, &state))?;
+        context.phase("write", |context| {
+            export::write(args, setup, bake, &state, context)
+        })?;
     } else {
         context.phase("write", |_| {
             output::write(&args.output, |out| state.write(out))
@@ -274,7 +298,7 @@ pub fn plan(args: &PlanArgs, context: &mut Context) -> Result<(), CliError> {
         let atlas = &setup.built.atlas;
         let texels = u64::from(atlas.texels());
         let writing = texels as f64 * SECONDS_PER_TEXEL_WRITTEN;
-        let per_texel = bake.memory().gathering / u64::from(bake.sides().max(1));
+        let per_texel = bake.memory(0).gathering / u64::from(bake.sides().max(1));
         let objects = subject::objects(setup.loaded, atlas);
         let gather = match setup.gather {
             GatherKind::Path => "path",
@@ -523,7 +547,8 @@ pub fn merge_parts(
     (context.common.seed, context.common.memory) = (common.seed, common.memory);
     args.output = output.to_path_buf();
     (args.shard, args.after, args.checkpoint, args.resume) = (None, None, None, false);
-    args.check()?;
+    // Whether a file or a folder is written is known when the parts have been read.
+    args.work.check()?;
     bake(&args, context, parts)
 }
 
@@ -575,7 +600,7 @@ impl<'a> Saver<'a> {
     }
 }
 
-fn settings(work: &WorkArgs, gather: GatherKind, seed: u64) -> Settings {
+fn settings(work: &WorkArgs, atlas: &Atlas, gather: GatherKind, seed: u64) -> Settings {
     Settings {
         gather,
         part: match work.light {
@@ -588,15 +613,25 @@ fn settings(work: &WorkArgs, gather: GatherKind, seed: u64) -> Settings {
         directions: work.total_directions().min(MOST_COUNTED),
         reach: work.ao_distance.unwrap_or(f32::INFINITY),
         seed,
-        bundles: bundle::Settings::default(),
+        bundles: bundle::Settings {
+            // As many pixels as texels: a finer analysis costs more than what it knows is worth.
+            analysis: (f64::from(atlas.texels()).sqrt() as u32)
+                .next_power_of_two()
+                .clamp(LEAST_ANALYSIS, bundle::Settings::default().analysis),
+            ..bundle::Settings::default()
+        },
     }
 }
+
+/// Pixels along a side of the analysis of bundles at least.
+const LEAST_ANALYSIS: u32 = 64;
 
 /// A number for everything that the sums depend on.
 fn fingerprint(
     work: &WorkArgs,
     loaded: &Loaded,
     pose: &Pose,
+    atlas: &Atlas,
     gather: GatherKind,
     context: &Context,
 ) -> u64 {
@@ -604,7 +639,8 @@ fn fingerprint(
         "{:?}",
         (
             VERSION,
-            settings(work, gather, context.common.seed),
+            settings(work, atlas, gather, context.common.seed),
+            context.common.memory,
             work.texels_per_metre,
             work.pages_max,
             &work.select,

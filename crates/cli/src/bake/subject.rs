@@ -23,6 +23,8 @@ pub struct Sky {
     pub asked: Option<Environment>,
     /// Bundles, and the largest channel.
     pub even: Option<(Environment, f32)>,
+    /// Rays that are not aimed at lights may meet light.
+    pub luminous: bool,
 }
 
 impl Loaded {
@@ -59,10 +61,15 @@ impl Loaded {
 
     /// Splits the sky for bundles; rays alone take it whole.
     pub fn sky(&self, work: &WorkArgs, kind: GatherKind) -> Sky {
+        let shining = |material: &Material| material.unlit || material.emission != glam::Vec3::ZERO;
+        let shines = self.scene.materials.iter().any(shining);
+        let is_lit = |sky: &Option<Environment>| sky.as_ref().is_some_and(|sky| !sky.is_black());
         if kind == GatherKind::Path {
             let whole = work.sky.environment(self.picture.as_ref());
+            let asked = Some(whole.unwrap_or_else(|| Environment::constant(self.scene.sky)));
             return Sky {
-                asked: Some(whole.unwrap_or_else(|| Environment::constant(self.scene.sky))),
+                luminous: shines || is_lit(&asked),
+                asked,
                 even: None,
             };
         }
@@ -75,6 +82,7 @@ impl Loaded {
         };
         let black = || Environment::constant(glam::Vec3::ZERO);
         Sky {
+            luminous: shines || is_lit(&parts.bright),
             asked: Some(parts.bright.unwrap_or_else(black)),
             even: parts.even,
         }

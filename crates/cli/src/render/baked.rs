@@ -9,7 +9,7 @@ use occlude_image::{Attribute, Depth, Layers, Limits, Look, write_layers};
 use occlude_render::camera::{PixelFilter, View};
 use occlude_render::geometry::Geometry;
 use occlude_render::light::Lights;
-use occlude_scene::Scene;
+use occlude_scene::{Instance, Scene};
 use serde::Deserialize;
 use std::f32::consts::PI;
 use std::path::Path;
@@ -31,7 +31,7 @@ struct Page {
 struct Node {
     node: u32,
     #[serde(default)]
-    primitive: Option<u32>,
+    instance: Option<u32>,
     page: u32,
     scale: [f32; 2],
     offset: [f32; 2],
@@ -92,19 +92,20 @@ fn load(scene_file: &Path, scene: &Scene, context: &Context) -> Result<Baked, Cl
         let picture = occlude_image::read(&folder.join(name), &limits)?.picture;
         pages.push(picture.map(|c| c.map(|v| v * factor)));
     }
-    // Instances of one node are its primitives, in the order of the file.
-    let mut earlier: Option<(u32, u32)> = None;
+    // The places of a node (EXT_mesh_gpu_instancing) come one after the other, each with all primitives of its mesh.
+    let mut place = 0;
+    let mut earlier: Option<&Instance> = None;
     let places = scene.instances.iter().map(|instance| {
-        let primitive = match earlier {
-            Some((node, primitive)) if node == instance.node => primitive + 1,
-            _ => 0,
+        place = match earlier {
+            Some(before) if before.node != instance.node => 0,
+            Some(before) if before.node_from_object != instance.node_from_object => place + 1,
+            _ => place,
         };
-        earlier = Some((instance.node, primitive));
+        earlier = Some(instance);
         let file = scene.contents.file_nodes.get(instance.node as usize)?;
-        let of_node = || manifest.nodes.iter().filter(|node| node.node == *file);
-        let node = of_node()
-            .find(|node| node.primitive == Some(primitive))
-            .or_else(|| of_node().find(|node| node.primitive.is_none()))?;
+        let node = manifest.nodes.iter().find(|node| {
+            node.node == *file && node.instance.is_none_or(|wanted| wanted == place)
+        })?;
         Some(Place {
             page: node.page,
             scale: Vec2::from(node.scale),
