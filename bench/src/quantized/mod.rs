@@ -15,7 +15,11 @@
 //! | `consistent` | error against the number of passes |
 //! | `shadow-maps` | cube and orthographic maps against the cache |
 //! | `collisions` | of the digests, against the birthday bound |
+//! | `sweeps` | rays and error against every other choice, tables among them |
+//! | `order` | what the order of questions does (Figs. 3 and 4) |
+//! | `walkthrough` | memory of earlier frames: rays, frames a second, flicker |
 
+mod asking_order;
 mod bidirectional;
 mod collisions;
 mod consistent;
@@ -29,7 +33,9 @@ mod reduction;
 mod shadow_maps;
 mod shot;
 mod subject;
+mod sweeps;
 mod unbiased;
+mod walkthrough;
 
 use crate::common::{Report, Setting};
 use subject::SUBJECTS;
@@ -45,6 +51,9 @@ const TOPICS: &[&str] = &[
     "consistent",
     "shadow-maps",
     "collisions",
+    "sweeps",
+    "order",
+    "walkthrough",
 ];
 
 /// How much is measured.
@@ -105,6 +114,9 @@ pub fn run(setting: &Setting) -> Report {
         plan.samples,
         plan.repetitions
     ));
+    if setting.wants_topic("order") && setting.wants("floor") {
+        asking_order::run(setting, &mut report);
+    }
     let mut curves = curves::Curves::default();
     for subject in SUBJECTS {
         let topics = subject.wanted(setting);
@@ -133,6 +145,12 @@ pub fn run(setting: &Setting) -> Report {
             }
             if wants("consistent") {
                 consistent::run(setting, &plan, report, subject, stage);
+            }
+            if wants("sweeps") {
+                sweeps::run(setting, &plan, report, subject, stage);
+            }
+            if wants("walkthrough") {
+                walkthrough::run(setting, &plan, report, subject, stage);
             }
             if wants("shadow-maps") {
                 shadow_maps::run(setting, &plan, report, subject, stage);

@@ -24,6 +24,8 @@ pub struct Stage<'a> {
     /// The view in a size.
     pub view: &'a (dyn Fn([u32; 2]) -> View + Sync),
     pub bounds: BoundingSphere,
+    /// Point and spot lights.
+    pub points: usize,
 }
 
 /// What is rendered.
@@ -125,8 +127,12 @@ impl<'a> Stage<'a> {
         // As `occlude render` chooses: tiles remember enough for themselves where all pixels ask about the same lights.
         let (share, table_bytes) = if many && guarantee != Guarantee::Consistent {
             (Share::Tile, 4 << 20)
-        } else {
+        } else if many {
             (Share::All, 256 << 20)
+        } else {
+            let words = task.size[0] as usize * task.size[1] as usize * task.samples as usize;
+            let bytes = words.next_power_of_two() * 4;
+            (Share::All, bytes.clamp(4 << 20, 256 << 20))
         };
         let single = !many && !matches!(task.integrator, Integrator::Bidirectional(_));
         // Where checks mend errors on average, larger patches cost less than they err.
@@ -137,8 +143,20 @@ impl<'a> Stage<'a> {
                 ..ErrorReach::all(40.0)
             }
         } else {
-            ErrorReach::default()
+            let usual = ErrorReach::default();
+            let together = task.samples.min(16) as f32;
+            let point = (usual.point * together.sqrt()).min(usual.area);
+            ErrorReach {
+                point: if many && self.points >= 16 {
+                    point
+                } else {
+                    usual.point
+                },
+                ..usual
+            }
         };
+        let pairs = matches!(task.integrator, Integrator::Bidirectional(_));
+        let usual = QuantizedSettings::default();
         let mut settings = QuantizedSettings {
             error,
             guarantee,
@@ -146,6 +164,9 @@ impl<'a> Stage<'a> {
             table_bytes,
             samples_per_pixel: task.samples,
             seed: task.seed,
+            normals: if pairs { 2 } else { usual.normals },
+            slab: if pairs { 2.0 } else { usual.slab },
+            resolution_step: if pairs { 2.0 } else { usual.resolution_step },
             pairing: match task.integrator {
                 Integrator::Bidirectional(_) => Pairing::Both,
                 _ => Pairing::Eye,

@@ -74,14 +74,28 @@ pub const SUBJECTS: &[Subject] = &[
     // What the paper measured, on stand-ins.
     Subject {
         quick: (
-            &["cost", "reduction", "pictures", "curves", "collisions"],
+            &[
+                "cost",
+                "reduction",
+                "pictures",
+                "curves",
+                "collisions",
+                "sweeps",
+            ],
             64,
         ),
         ..subject(
             "apartment",
             Source::Procedural(procedural::Name::Apartment),
             [Some(50.0), Some(5.0)],
-            &["cost", "reduction", "pictures", "curves", "collisions"],
+            &[
+                "cost",
+                "reduction",
+                "pictures",
+                "curves",
+                "collisions",
+                "sweeps",
+            ],
         )
     },
     Subject {
@@ -167,7 +181,15 @@ pub const SUBJECTS: &[Subject] = &[
         "sponza",
         Source::File("sponza.glb", None),
         [None, Some(10.0)],
-        &["cost", "reduction", "pictures", "curves", "collisions"],
+        &[
+            "cost",
+            "reduction",
+            "pictures",
+            "curves",
+            "collisions",
+            "sweeps",
+            "walkthrough",
+        ],
     ),
     subject(
         "victorian_house",
@@ -258,6 +280,9 @@ impl Subject {
             lights: &lights,
             view: &|[width, height]| view(&scene, &pose, change, (min, max), width, height),
             bounds: BoundingSphere::around(min, max),
+            points: (scene.lights.iter())
+                .filter(|light| !matches!(light.kind, LightKind::Directional { .. }))
+                .count(),
         };
         work(&stage, report);
         report.save();

@@ -3,7 +3,7 @@
 mod common;
 
 use common::{Random, Spheres, ask};
-use glam::Vec3;
+use glam::{Quat, Vec3};
 use occlude_visibility::quantized::{
     BoundingSphere, Digest, ErrorReach, Guarantee, Pairing, Quantized, QuantizedError,
     QuantizedSettings, Refine, Share,
@@ -305,6 +305,54 @@ fn errors_reach_no_farther_than_promised() {
     }
 }
 
+/// Surfaces that are not along their grid's axes are refined as well as those that are: a tilted world has hardly more wrong answers.
+#[test]
+fn tilted_worlds_are_refined_too() {
+    let mut random = Random(18);
+    let world = random.world(12, 0.3, 1.0);
+    let points: Vec<Vec3> = (0..16).map(|_| random.vector() * 0.5 + Vec3::Y).collect();
+    let error = 8.0;
+    let (_, eyes) = floor((SIDE * SIDE) as f32 / (error * error));
+    let shares = [0.0, 0.08, 0.3, 0.7].map(|angle| {
+        let turn = Quat::from_axis_angle(Vec3::new(0.6, 0.0, 0.8), angle);
+        let world = Spheres {
+            spheres: (world.spheres.iter())
+                .map(|&(centre, radius)| (turn * centre, radius))
+                .collect(),
+            lazy: world.lazy,
+        };
+        let eyes: Vec<EyeSample> = eyes
+            .iter()
+            .map(|eye| EyeSample::new(turn * eye.origin, turn * Vec3::Y, eye.end.density))
+            .collect();
+        let lights: Vec<_> = points
+            .iter()
+            .map(|&p| SharedLight::point(turn * p))
+            .collect();
+        let expected = exact(&world, &eyes, &lights).concat();
+        let strategy = strategy(QuantizedSettings {
+            error: ErrorReach::all(error),
+            ..Default::default()
+        });
+        let found = ask_many(
+            &strategy,
+            &world,
+            &mut worker(&strategy),
+            &eyes,
+            &lights,
+            &all,
+        );
+        let pairs = found.concat().into_iter().zip(expected);
+        let wrong = pairs.filter(|(a, b)| a != b).count();
+        wrong as f64 / (eyes.len() * lights.len()) as f64
+    });
+    println!("wrong share by tilt: {shares:?}");
+    assert!(
+        shares.iter().all(|&share| share < 1.3 * shares[0]),
+        "{shares:?}"
+    );
+}
+
 /// Counts wrong answers about light `l` that have no true edge of its shadow within `reach` eyes.
 fn far_errors(
     places: &[[u32; 2]],
@@ -427,7 +475,8 @@ fn unbiased_answers_are_right_on_average() {
     }
 }
 
-/// Patches shrink from pass to pass at both ends: the share of wrong answers falls, and goes on falling.
+/// Patches shrink from pass to pass at both ends: the share of wrong answers falls, and goes on falling. Their sides go with the
+/// fourth root of the passes: fourfold passes leave 0.71 of the errors of one end.
 #[test]
 fn consistent_answers_converge() {
     let mut random = Random(6);
@@ -463,7 +512,7 @@ fn consistent_answers_converge() {
     });
     println!("wrong share by pass: {wrong:?}");
     assert!(
-        wrong.windows(2).all(|pair| pair[1] < 0.75 * pair[0]),
+        wrong.windows(2).all(|pair| pair[1] < 0.85 * pair[0]) && wrong[4] < 0.35 * wrong[0],
         "{wrong:?}"
     );
 }

@@ -31,7 +31,7 @@ use occlude_render::integrator::{
 use occlude_render::light::Lights;
 use occlude_render::sampling::SamplerKind;
 use occlude_render::work::{Work, shard_samples};
-use occlude_scene::{Pose, Scene};
+use occlude_scene::{LightKind, Pose, Scene};
 use occlude_visibility::quantized::{BoundingSphere, Quantized, Share};
 use occlude_visibility::{Class, Exact, Occluder, Visibility};
 use setup::{build, load, view};
@@ -140,7 +140,12 @@ fn quantized(
     };
     let guarantee = args.guarantee.unwrap_or(GuaranteeName::Bounded);
     let seed = context.common.seed;
-    let settings = options.settings(asks, guarantee, frames, args.known_samples(), seed);
+    let pixels = u64::from(args.size.width) * u64::from(args.size.height);
+    let samples = args.known_samples();
+    let points = (scene.lights.iter())
+        .filter(|light| !matches!(light.kind, LightKind::Directional { .. }))
+        .count();
+    let settings = options.settings(asks, guarantee, frames, samples, pixels, points, seed);
     let copies = match settings.share {
         Share::All | Share::Frames => 1,
         Share::Tile | Share::Thread => rayon::current_num_threads() as u64,

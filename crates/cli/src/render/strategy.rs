@@ -34,6 +34,12 @@ pub struct QuantizedOptions {
     digest: Option<Digest>,
 }
 
+/// Words of a table of single questions for each eye sample: patches hold several questions, but a path asks at each of its vertices.
+const WORDS_PER_SAMPLE: u64 = 1;
+
+/// From how many point lights on errors of each may reach farther.
+const MANY_POINTS: usize = 16;
+
 /// `--guarantee`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum GuaranteeName {
@@ -139,13 +145,16 @@ impl QuantizedOptions {
         Ok(())
     }
 
-    /// Settings for an integrator that asks in this way; `frames`: for several pictures; `samples_per_pixel` of the whole work, if it is known.
+    /// Settings for an integrator that asks in this way; `frames`: for several pictures; samples a pixel and of all `pixels` of the whole
+    /// work, if they are known; `points`: point and spot lights of the scene.
     pub fn settings(
         &self,
         asks: Asks,
         guarantee: GuaranteeName,
         frames: bool,
         samples_per_pixel: Option<u32>,
+        pixels: u64,
+        points: usize,
         seed: u64,
     ) -> QuantizedSettings {
         let usual = QuantizedSettings::default();
@@ -163,7 +172,20 @@ impl QuantizedOptions {
                 area: 40.0,
                 sky: 40.0,
             },
+            // A hard shadow shows every error, but of many each brings little: about four pixels then.
+            (Asks::Many, _) if points >= MANY_POINTS => {
+                let together = samples_per_pixel.unwrap_or(1).min(16) as f32;
+                ErrorReach {
+                    point: (usual.error.point * together.sqrt()).min(usual.error.area),
+                    ..usual.error
+                }
+            }
             _ => usual.error,
+        };
+        // What path vertices see of each other is met once and blurred by all that follows: rough patches share more.
+        let (normals, slab, step) = match asks {
+            Asks::Pairs => (2, 2.0, 2.0),
+            Asks::Single | Asks::Many => (usual.normals, usual.slab, usual.resolution_step),
         };
         // Tiles remember enough for themselves where they ask about the same lights in every pixel.
         let (share, table) = match (asks, guarantee) {
@@ -175,6 +197,17 @@ impl QuantizedOptions {
         };
         let share = self.share.unwrap_or(share);
         let table = match share {
+            // A table that is larger than what it has to hold is far from the processor for nothing.
+            Share::All if asks != Asks::Many => {
+                let samples = u64::from(samples_per_pixel.unwrap_or(1024));
+                let words = samples
+                    .saturating_mul(pixels)
+                    .saturating_mul(WORDS_PER_SAMPLE);
+                words
+                    .next_power_of_two()
+                    .saturating_mul(4)
+                    .clamp(4 << 20, 256 << 20) as usize
+            }
             Share::All | Share::Frames => 256 << 20,
             Share::Tile | Share::Thread => table.min(4 << 20),
         };
@@ -185,9 +218,9 @@ impl QuantizedOptions {
                 area: reach(self.area, usual_error.area),
                 sky: reach(self.sky, usual_error.sky),
             },
-            normals: self.normals.unwrap_or(usual.normals),
-            slab: self.slab.unwrap_or(usual.slab),
-            resolution_step: self.resolution_step.unwrap_or(usual.resolution_step),
+            normals: self.normals.unwrap_or(normals),
+            slab: self.slab.unwrap_or(slab),
+            resolution_step: self.resolution_step.unwrap_or(step),
             table_bytes: self
                 .table
                 .map_or(table, |bytes| usize::try_from(bytes).unwrap_or(usize::MAX)),
@@ -219,7 +252,15 @@ mod tests {
         ) else {
             panic!("a legal value is refused");
         };
-        let settings = options.settings(Asks::Pairs, GuaranteeName::Unbiased, false, Some(9), 7);
+        let settings = options.settings(
+            Asks::Pairs,
+            GuaranteeName::Unbiased,
+            false,
+            Some(9),
+            64,
+            1,
+            7,
+        );
         assert_eq!(
             settings,
             QuantizedSettings {

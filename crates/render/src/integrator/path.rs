@@ -50,6 +50,8 @@ struct Path {
     direction_density: f32,
     /// The rays come from an orthographic camera and do not spread.
     parallel: bool,
+    /// Square metres a path of the picture where the direction was chosen: see [`arriving_density`]. 0 at the camera.
+    region: f32,
     /// Length of the way from where the direction was chosen to the ray's origin.
     travelled: f32,
     /// Product of the squared ratios of refractive index: what refraction took from `throughput` only to give it back when
@@ -120,6 +122,7 @@ pub(super) fn render_unit<'a, V: Visibility<Geometry<'a>>>(
             last: None,
             direction_density: camera.pixel_density,
             parallel: camera.parallel,
+            region: 0.0,
             travelled: 0.0,
             squeezed: 1.0,
             blurred: false,
@@ -186,6 +189,7 @@ impl Scratch {
             last: Some(last),
             direction_density: last.pdf * self.pixels,
             parallel: false,
+            region: 0.0,
             travelled: 0.0,
             squeezed: 1.0,
             blurred: true,
@@ -347,6 +351,14 @@ fn add_environment(world: &World, path: &mut Path, first: bool) {
     path.radiance += path.throughput * radiance * weight;
 }
 
+/// Paths per square metre where paths arrive that are spread over `region` square metres a path where they come from, and that
+/// would arrive with `density` if they all came from one point. A direction's density alone would tell of the few paths that share
+/// this one's last vertex, most of all near corners; what a cache's patch holds are those of the neighbourhood. (The exact
+/// density is an integral over it; that areas add up is a bound by its two extremes.)
+pub(super) fn arriving_density(density: f32, region: f32) -> f32 {
+    density / (1.0 + density * region)
+}
+
 /// Shades one hit; returns whether the path goes on. `ask` takes visibility questions and what they bring.
 fn shade_hit(
     world: &World,
@@ -448,8 +460,10 @@ fn shade_hit(
                     } else {
                         distance * distance
                     };
-                    let density =
-                        path.direction_density * toward_eye.dot(surface.normal).abs() / spread;
+                    let density = arriving_density(
+                        path.direction_density * toward_eye.dot(surface.normal).abs() / spread,
+                        path.region,
+                    );
                     let eye = Endpoint::new(surface.position, normal, density);
                     // The densities of other ends hold the probability of the pick; exact ends have none to hold it.
                     let connections = if light.delta { light.pdf } else { 1.0 };
@@ -494,6 +508,13 @@ fn shade_hit(
         if sample.delta {
             path.travelled = distance;
         } else {
+            let spread = if path.parallel {
+                1.0
+            } else {
+                distance * distance
+            };
+            let arriving = path.direction_density * toward_eye.dot(surface.normal).abs() / spread;
+            path.region = 1.0 / arriving_density(arriving, path.region);
             path.travelled = 0.0;
             path.direction_density = sample.pdf * pixels;
             path.parallel = false;

@@ -57,6 +57,17 @@ impl Cell {
         })
     }
 
+    /// The voxels above and below.
+    pub fn above_and_below(self) -> [Self; 2] {
+        [1, -1].map(|up| {
+            let [x, y, z] = self.voxel;
+            Self {
+                voxel: [x, y, z.wrapping_add(up)],
+                ..self
+            }
+        })
+    }
+
     /// The hash of all seven integers: one half of a separable key. All bits depend on all integers.
     pub fn half(self) -> u64 {
         let grid = u64::from(self.orientation) << 32 | u64::from(self.resolution);
@@ -204,23 +215,34 @@ impl Grids {
     /// The cell of a surface point in the grid of an orientation and a quantized resolution.
     pub fn cell(&self, position: Vec3, orientation: u32, resolution: u32) -> Cell {
         let [x, y, z] = self.frames[orientation as usize];
-        let shift = mix(
-            u64::from(orientation) << 32 | u64::from(resolution),
-            0x243f_6a88_85a3_08d3,
-        );
-        let shift = |bits: u32| (shift >> bits & 0xffff) as f32 * (1.0 / 65536.0);
+        let shift = Shift::of(orientation, resolution);
         let from_centre = position - self.centre;
         let scale = resolution as f32 / self.diameter;
         let voxel = [
-            floor(from_centre.dot(x) * scale + shift(0)),
-            floor(from_centre.dot(y) * scale + shift(16)),
-            floor(from_centre.dot(z) * scale * self.slab + shift(32)),
+            floor(from_centre.dot(x) * scale + shift.along(0)),
+            floor(from_centre.dot(y) * scale + shift.along(16)),
+            floor(from_centre.dot(z) * scale * self.slab + shift.along(32)),
         ];
         Cell {
             orientation,
             resolution,
             voxel,
         }
+    }
+
+    /// The middle of a cell, world space.
+    pub fn middle(&self, cell: &Cell) -> Vec3 {
+        let [x, y, z] = self.frames[cell.orientation as usize];
+        let shift = Shift::of(cell.orientation, cell.resolution);
+        let along = |axis: usize, bits: u32| cell.voxel[axis] as f32 + 0.5 - shift.along(bits);
+        let size = self.diameter / cell.resolution as f32;
+        let flat = x * along(0, 0) + y * along(1, 16);
+        self.centre + (flat + z * (along(2, 32) / self.slab)) * size
+    }
+
+    /// The resolutions beside a quantized one: the coarser, and the finer.
+    pub fn beside(&self, resolution: u32) -> [u32; 2] {
+        self.steps.beside(resolution)
     }
 
     /// The key of a direction sampled with `density` per steradian times connections: the cell of an equal-area map of the
@@ -233,6 +255,23 @@ impl Grids {
             cell: [(place.x as u32).min(last), (place.y as u32).min(last)],
             resolution,
         }
+    }
+}
+
+/// By how much a grid is shifted against its centre, voxels along each axis.
+struct Shift(u64);
+
+impl Shift {
+    fn of(orientation: u32, resolution: u32) -> Self {
+        Self(mix(
+            u64::from(orientation) << 32 | u64::from(resolution),
+            0x243f_6a88_85a3_08d3,
+        ))
+    }
+
+    /// The axis is given by its bits: 0, 16 or 32.
+    fn along(&self, bits: u32) -> f32 {
+        (self.0 >> bits & 0xffff) as f32 * (1.0 / 65536.0)
     }
 }
 
@@ -282,6 +321,18 @@ impl Steps {
 
     fn bin(x: f32) -> u32 {
         x.to_bits() >> Self::LOWER
+    }
+
+    /// The powers below and above one of them, or itself at the ends.
+    fn beside(&self, resolution: u32) -> [u32; 2] {
+        let below = self
+            .resolutions
+            .partition_point(|&other| other < resolution);
+        let above = self
+            .resolutions
+            .partition_point(|&other| other <= resolution);
+        let power = |k: usize| self.resolutions.get(k).copied().unwrap_or(resolution);
+        [power(below.wrapping_sub(1)), power(above)]
     }
 
     /// The power nearest to a resolution from 1 to the finest.

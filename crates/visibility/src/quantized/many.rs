@@ -13,7 +13,7 @@
 //! keyed by cell and block: once a cell and block, not once a question. In a sequence of pictures the words come from what
 //! [earlier pictures](super::past) knew.
 
-use super::key::{Cell, nearest_power_of_two};
+use super::key::{Cell, Grids, nearest_power_of_two};
 use super::past::{self, Learnt, Note, Past};
 use super::table::{BlockTable, BlockWord};
 use super::{Decisions, Guarantee, Quantized, QuantizedWorker, known, mix};
@@ -680,7 +680,7 @@ impl Level {
         self.neighbours.clear();
         self.neighbours.extend(cells.iter().map(|cell| {
             cell.neighbours()
-                .map(|neighbour| numbering.find(neighbour.half()).unwrap_or(NONE))
+                .map(|neighbour| numbering.beside(grids, neighbour).unwrap_or(NONE))
         }));
     }
 }
@@ -706,6 +706,25 @@ impl Numbering {
             place = (place + 1) & mask;
         }
         place
+    }
+
+    /// The number of a cell, or of one that goes on where it would be. The paper looks for the cell itself alone; but a surface that
+    /// is not quite along its grid passes on to the voxel above or below, and one that comes nearer to other resolutions: an edge of
+    /// a shadow there would have nobody to differ from.
+    fn beside(&self, grids: &Grids, cell: Cell) -> Option<u32> {
+        let layers = |cell: Cell| {
+            self.find(cell.half()).or_else(|| {
+                let others = cell.above_and_below();
+                others.into_iter().find_map(|other| self.find(other.half()))
+            })
+        };
+        layers(cell).or_else(|| {
+            let middle = grids.middle(&cell);
+            let others = grids.beside(cell.resolution);
+            others
+                .into_iter()
+                .find_map(|resolution| layers(grids.cell(middle, cell.orientation, resolution)))
+        })
     }
 
     fn find(&self, hash: u64) -> Option<u32> {

@@ -132,8 +132,8 @@ impl Default for QuantizedSettings {
     fn default() -> Self {
         Self {
             error: ErrorReach::default(),
-            normals: 8,
-            slab: 8.0,
+            normals: 4,
+            slab: 4.0,
             resolution_step: 1.2,
             table_bytes: 4 << 20,
             refine: Refine::default(),
@@ -193,6 +193,9 @@ impl std::fmt::Display for QuantizedError {
 
 impl std::error::Error for QuantizedError {}
 
+/// Side of the smallest patches that a consistent job refines to, pixels; half of it at most.
+const FINEST: f32 = 0.25;
+
 impl QuantizedSettings {
     pub(super) fn check(&self) -> Result<(), QuantizedError> {
         let ErrorReach {
@@ -231,14 +234,20 @@ impl QuantizedSettings {
     pub(super) fn levels(&self, error: f32, samples: f32) -> u32 {
         match self.refine {
             Refine::Levels(levels) => levels,
+            Refine::Auto if self.pairing == Pairing::Both => 1,
             Refine::Auto => {
-                // A consistent job goes on: its error must not jump where patches become smaller than pixels.
-                let inside_a_pixel =
-                    error * error <= samples && self.guarantee != Guarantee::Consistent;
-                if inside_a_pixel || self.pairing == Pairing::Both {
+                let paper = (error.log2().ceil() as u32).clamp(1, 16);
+                // Side of a patch, pixels.
+                let side = error / samples.sqrt();
+                if self.guarantee == Guarantee::Consistent {
+                    // A consistent job goes on: its error must not jump where patches become smaller than pixels. So levels end
+                    // one after the other, when the finest is far below a pixel.
+                    let useful = (side / FINEST).log2().floor().clamp(0.0, 15.0) as u32 + 1;
+                    useful.min(paper)
+                } else if side <= 1.0 {
                     1
                 } else {
-                    (error.log2().ceil() as u32).clamp(1, 16)
+                    paper
                 }
             }
         }

@@ -36,6 +36,9 @@ pub(super) struct Scratch {
     order: Vec<u32>,
     visible: Vec<bool>,
     found: Vec<Found>,
+    /// Digests of the neighbours of what was found, where they matter, and what memory holds of them.
+    around: Vec<Option<[u64; 4]>>,
+    surroundings: Vec<Option<Surroundings>>,
     checks: Vec<Check>,
     pending: Pending,
     rays: Vec<Ray>,
@@ -177,7 +180,8 @@ fn look_up(
             let (mut guess, mut probability) = (0.0, 1.0);
             if unbiased {
                 probability = (TRACED * scratch.importance[query as usize]).min(1.0);
-                guess = Surroundings::of(strategy, table, clustered, &cell, salt).guess();
+                let digest = |cell: Cell| strategy.digest(&cell, clustered, salt);
+                guess = Surroundings::of(table, cell.neighbours().map(digest)).guess();
                 if !decisions.decide(probability) {
                     answers[query as usize] = guess;
                     continue;
@@ -268,16 +272,35 @@ fn refine(
 ) {
     scratch.next.clear();
     let unbiased = strategy.settings.guarantee == Guarantee::Unbiased;
-    for &Found {
-        query,
-        cell,
-        digest,
-        value,
-    } in &scratch.found
-    {
-        let Some(clustered) = &scratch.clustered[query as usize] else {
-            continue;
-        };
+    let clustered = &scratch.clustered;
+    let is_last = |query: u32| {
+        clustered[query as usize]
+            .as_ref()
+            .is_none_or(|clustered| level + 1 >= clustered.levels)
+    };
+    // As above: digests first, then nothing but loads.
+    scratch.around.clear();
+    scratch.around.extend(scratch.found.iter().map(|found| {
+        let contested = matches!(found.value, Value::Known(memory) if memory.contested);
+        let matters = !contested && (unbiased || !is_last(found.query));
+        let clustered = clustered[found.query as usize].as_ref()?;
+        matters.then(|| {
+            let digest = |cell: Cell| strategy.digest(&cell, clustered, decisions.salt);
+            found.cell.neighbours().map(digest)
+        })
+    }));
+    scratch.surroundings.clear();
+    scratch.surroundings.extend(
+        (scratch.around.iter())
+            .map(|around| around.map(|digests| Surroundings::of(table, digests))),
+    );
+    for (found, &around) in scratch.found.iter().zip(&scratch.surroundings) {
+        let &Found {
+            query,
+            digest,
+            value,
+            ..
+        } = found;
         let Memory { visible, contested } = match value {
             Value::Known(memory) => memory,
             Value::Awaited(miss) => Memory {
@@ -285,9 +308,7 @@ fn refine(
                 contested: false,
             },
         };
-        let last = level + 1 >= clustered.levels;
-        let around = (!contested && (!last || unbiased))
-            .then(|| Surroundings::of(strategy, table, clustered, &cell, decisions.salt));
+        let last = is_last(query);
         let agree = !contested && around.is_none_or(|around| around.agree(visible));
         if !agree && !last {
             scratch.next.push(query);
@@ -391,19 +412,15 @@ struct Surroundings {
 }
 
 impl Surroundings {
-    fn of(
-        strategy: &Quantized,
-        table: &WordTable,
-        clustered: &Clustered,
-        cell: &Cell,
-        salt: u64,
-    ) -> Self {
+    fn of(table: &WordTable, neighbours: [u64; 4]) -> Self {
         let mut around = Self::default();
-        for neighbour in cell.neighbours() {
-            if let Some(memory) = table.get(strategy.digest(&neighbour, clustered, salt)) {
-                around.known += 1;
-                around.visible += u32::from(memory.visible);
-            }
+        for memory in neighbours
+            .map(|digest| table.get(digest))
+            .into_iter()
+            .flatten()
+        {
+            around.known += 1;
+            around.visible += u32::from(memory.visible);
         }
         around
     }

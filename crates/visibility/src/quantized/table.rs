@@ -3,13 +3,14 @@
 //! All words are atomics that are read and written whole and without order: a race costs a ray, never a wrong answer.
 //! Nothing is ever cleared: the epoch is part of the digest.
 
+use bytemuck::allocation::zeroed_slice_box;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
 
 /// One answer a word: 30 bits of digest, the answer, and whether a check has found it wrong somewhere (Popov 2013, section
 /// 4.1, has 31 bits and no checks). 0 is empty.
 #[derive(Debug)]
 pub(super) struct WordTable {
-    words: Vec<AtomicU32>,
+    words: Box<[AtomicU32]>,
 }
 
 /// What is remembered about a pair of patches.
@@ -25,7 +26,7 @@ impl WordTable {
     pub fn new(bytes: usize) -> Self {
         let count = power_of_two(bytes / size_of::<AtomicU32>());
         Self {
-            words: (0..count).map(|_| AtomicU32::new(0)).collect(),
+            words: zeroed_slice_box(count),
         }
     }
 
@@ -70,7 +71,7 @@ fn tag(digest: u64) -> u32 {
 /// known, and 16 answers.
 #[derive(Debug)]
 pub(super) struct BlockTable {
-    words: Vec<AtomicU64>,
+    words: Box<[AtomicU64]>,
 }
 
 /// Answers about the 16 lights of a block. Bits of `visible` are 0 where `known`'s are.
@@ -85,7 +86,7 @@ impl BlockTable {
     pub fn new(bytes: usize) -> Self {
         let count = power_of_two(bytes / size_of::<AtomicU64>());
         Self {
-            words: (0..count).map(|_| AtomicU64::new(0)).collect(),
+            words: zeroed_slice_box(count),
         }
     }
 

@@ -114,6 +114,28 @@ fn voxels_have_their_size() {
     assert_eq!(layers, HashSet::from([0]));
 }
 
+/// The middle of a cell lies in it, and a resolution's neighbours are one step away.
+#[test]
+fn middles_lie_in_their_cells() {
+    let grids = grids();
+    let mut random = Random::new(8);
+    for _ in 0..1000 {
+        let orientation = grids.orientation(random.unit()).unwrap();
+        let resolution = grids.quantize(8.0 * 100f32.powf(random.next()));
+        let cell = grids.cell(random.unit() * 5.0, orientation, resolution);
+        let middle = grids.middle(&cell);
+        assert_eq!(grids.cell(middle, orientation, resolution), cell);
+        let [coarser, finer] = grids.beside(resolution);
+        assert!(coarser < resolution && resolution < finer, "{resolution}");
+        for ratio in [
+            resolution as f32 / coarser as f32,
+            finer as f32 / resolution as f32,
+        ] {
+            assert!((1.05..1.4).contains(&ratio), "{resolution}");
+        }
+    }
+}
+
 /// Eq. 8: few resolutions, each within its step; extremes end at the ends.
 #[test]
 fn resolutions_are_powers() {

@@ -4,6 +4,7 @@
 //! reaches it, paths from lights flux. Refraction squeezes radiance, not flux (Veach 1997, section 5.2), and shading normals make
 //! scattering non-symmetric: flux takes a factor of cosines (Veach 1997, section 5.3, eq. 5.19).
 
+use super::super::path::arriving_density;
 use super::vertex::{Facing, NONE, Start, Vertex};
 use super::weight::Step;
 use crate::bsdf::BsdfSample;
@@ -34,6 +35,8 @@ pub(super) enum Carries {
 struct Spread {
     density: f32,
     parallel: bool,
+    /// Square metres that the points before the hits are spread over: see [`arriving_density`].
+    region: f32,
     /// Length of the way since.
     travelled: f32,
 }
@@ -104,13 +107,23 @@ impl Walk {
                 super::weight::square(1.0 / emitted.density.start)
             },
         };
+        let from_a_point = Self::new(emitted.ray, emitted.flux, sampler, step);
+        let has_area = !emitted.origin.is_delta() && !emitted.density.parallel;
         Self {
             start: Some(Start {
                 origin: emitted.origin,
                 density: emitted.density.start,
             }),
             scale: emitted.flux.max_element(),
-            ..Self::new(emitted.ray, emitted.flux, sampler, step)
+            spread: Spread {
+                region: if has_area {
+                    1.0 / emitted.density.start
+                } else {
+                    0.0
+                },
+                ..from_a_point.spread
+            },
+            ..from_a_point
         }
     }
 
@@ -127,6 +140,7 @@ impl Walk {
             spread: Spread {
                 density: step.density,
                 parallel: step.parallel,
+                region: 0.0,
                 travelled: 0.0,
             },
             samples: 1.0,
@@ -178,7 +192,8 @@ impl Walk {
             facing,
             parameters,
             throughput: self.throughput,
-            density: self.samples * self.spread.density * cosine / spread,
+            density: self.samples
+                * arriving_density(self.spread.density * cosine / spread, self.spread.region),
             depth: self.depth,
             partial,
             absorption: self.absorption,
@@ -271,6 +286,7 @@ impl Walk {
         self.spread = Spread {
             density: sample.pdf,
             parallel: false,
+            region: self.samples / vertex.density,
             travelled: 0.0,
         };
     }

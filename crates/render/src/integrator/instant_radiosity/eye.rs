@@ -84,6 +84,8 @@ pub(super) struct Harvest {
     pub(super) pending: Vec<(u32, Vec3)>,
     /// Where [`gather`](super::gather) starts.
     pub(super) starts: Vec<Start>,
+    /// Questions about single light samples may be answered from memory.
+    pub(super) shares_singles: bool,
     /// Rays beyond the first of each walk.
     pub(super) secondary: u64,
     alive: Vec<u32>,
@@ -400,11 +402,14 @@ impl Harvest {
             None => Ray::new(origin, light.wi),
         };
         // One sample stands for a whole lamp. Shared by a patch of eyes, its answer would turn penumbras into blotches; and next
-        // to the questions about shared lights, rays for these are few. So each is a question of its own.
-        let end = Endpoint {
-            density: f32::INFINITY,
-            ..end
+        // to the questions about shared lights, rays for these are few. So each is a question of its own, unless patches shrink from pass
+        // to pass.
+        let density = if self.shares_singles {
+            end.density
+        } else {
+            f32::INFINITY
         };
+        let end = Endpoint { density, ..end };
         self.queries.push(Query {
             connections,
             importance: brought.element_sum(),

@@ -33,7 +33,7 @@ use crate::light::{DeltaLight, Lights};
 use crate::sampling::Sampler;
 use eye::{Harvest, Walk};
 use glam::{Vec2, Vec3};
-use occlude_visibility::{LightEnd, SharedLight, Visibility, order};
+use occlude_visibility::{Class, LightEnd, SharedLight, Visibility, order};
 pub(super) use pool::Pool;
 use shade::{Asker, Kind, LightList, Packs, Panes};
 use std::sync::{Mutex, PoisonError};
@@ -291,6 +291,7 @@ pub(super) fn render_unit<'a, V: Visibility<Geometry<'a>>>(
             .push(Walk::new(&camera, start.sampler));
     }
     let harvest = &mut scratch.harvest;
+    harvest.shares_singles = visibility.class() == Class::Consistent;
     harvest.gather(world, prepared);
     worker.rays.primary += harvest.walks.len() as u64;
     worker.rays.secondary += harvest.secondary;
