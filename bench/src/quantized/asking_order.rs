@@ -10,7 +10,7 @@ use occlude_image::{Look, Picture, ToneMap};
 use occlude_visibility::quantized::{
     BoundingSphere, ErrorReach, Quantized, QuantizedSettings, Refine,
 };
-use occlude_visibility::{Endpoint, EveryLight, EyeSample, Ray, Session, SharedLight, order};
+use occlude_visibility::{EveryLight, EyeSample, Ray, Session, SharedLight, order};
 
 /// Eyes along each side of the floor, and screen pixels of an eye.
 const SIDE: u32 = 96;

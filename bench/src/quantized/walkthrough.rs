@@ -3,7 +3,6 @@
 //! Three sides go along the same way with the same virtual lights (a few blocks are renewed a frame): exact rays, a fresh cache for
 //! every frame, and one that is kept.
 
-use super::fixed;
 use super::quality::quality;
 use super::shot::{Stage, Task, instant_radiosity, picture};
 use super::subject::Subject;

@@ -751,6 +751,10 @@ fn settings_out_of_range_are_refused() {
         QuantizedError::TableBytes(3)
     );
     assert_eq!(
+        refused(&|s| s.table_bytes = 1 << 60),
+        QuantizedError::Memory(1 << 60)
+    );
+    assert_eq!(
         refused(&|s| s.refine = Refine::Levels(0)),
         QuantizedError::Levels(0)
     );

@@ -141,7 +141,7 @@ pub struct RenderArgs {
     /// error-point, error-direction, error-area, error-sky by kind of light), refine=auto|off|LEVELS, share=tile|thread|all|frames
     /// (tile: the same bytes at any number of threads; frames: those, too, and frames know what earlier ones have learnt), table=SIZE, normals, slab, resolution-step,
     /// digest=separable|lcg|lcg-xorshift. Saves time where all pixels ask about the same lights (instant-radiosity); with other integrators
-    /// it saves rays, but time only where a ray takes longer than about a microsecond
+    /// it saves rays, and seldom time
     #[arg(long, value_name = "STRATEGY", value_parser = strategy::strategy, default_value = "exact", help_heading = "Work")]
     pub visibility: Strategy,
 

@@ -1,6 +1,7 @@
 //! What a user may choose, and what is legal.
 
 use super::digest::Digest;
+use super::table::is_there_memory;
 use crate::Class;
 
 /// How far an error may reach, in eye samples across (`C_E`), by kind of light end: answers are shared by patches that hold
@@ -161,6 +162,8 @@ pub enum QuantizedError {
     ResolutionStep(f32),
     /// The table is smaller than 64 bytes.
     TableBytes(usize),
+    /// There is not enough memory for a table of that many bytes.
+    Memory(usize),
     /// The number of levels is outside 1 to 16.
     Levels(u32),
     /// The bounding sphere is not finite or has no size.
@@ -185,6 +188,7 @@ impl std::fmt::Display for QuantizedError {
                 )
             }
             Self::TableBytes(value) => write!(f, "a table of {value} bytes: must be at least 64"),
+            Self::Memory(value) => write!(f, "no memory for a table of {value} bytes"),
             Self::Levels(value) => write!(f, "{value} levels of refinement: must be 1 to 16"),
             Self::Bounds => write!(f, "the bounding sphere has no finite size"),
         }
@@ -220,6 +224,9 @@ impl QuantizedSettings {
         }
         if self.table_bytes < 64 {
             return Err(QuantizedError::TableBytes(self.table_bytes));
+        }
+        if !is_there_memory(self.table_bytes) {
+            return Err(QuantizedError::Memory(self.table_bytes));
         }
         match self.refine {
             Refine::Levels(levels) if !(1..=16).contains(&levels) => {

@@ -3,8 +3,13 @@
 //! All words are atomics that are read and written whole and without order: a race costs a ray, never a wrong answer.
 //! Nothing is ever cleared: the epoch is part of the digest.
 
-use bytemuck::allocation::zeroed_slice_box;
+use bytemuck::allocation::{try_zeroed_slice_box, zeroed_slice_box};
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
+
+/// Whether the system would give that much. It does not touch what it gives, so asking costs nothing.
+pub(super) fn is_there_memory(bytes: usize) -> bool {
+    try_zeroed_slice_box::<u8>(bytes).is_ok()
+}
 
 /// One answer a word: 30 bits of digest, the answer, and whether a check has found it wrong somewhere (Popov 2013, section
 /// 4.1, has 31 bits and no checks). 0 is empty.
