@@ -2,6 +2,7 @@
 //!
 //! `cargo run --release -p bench -- SUITE [--quick] [--scenes DIR] [--out DIR]`; see `bench/README.md`.
 
+mod bake;
 mod common;
 mod dynamic;
 mod pictures;
@@ -63,6 +64,8 @@ enum Suite {
     Quantized,
     /// Fields of visibility on moving scenes: rays, times, errors.
     Dynamic,
+    /// Ray bundles against rays: exchanges, set-up, tables of the paper, a town of 45 million texels.
+    Bake,
 }
 
 fn main() -> ExitCode {
@@ -86,6 +89,7 @@ fn main() -> ExitCode {
         Suite::ManyLights => pictures::many_lights::run(&setting),
         Suite::Quantized => quantized::run(&setting),
         Suite::Dynamic => dynamic::run(&setting),
+        Suite::Bake => bake::run(&setting),
     };
     match report.write(&arguments.out) {
         Ok(()) => {

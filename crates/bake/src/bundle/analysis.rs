@@ -9,8 +9,11 @@
 //! of the scene's projected area. Maps are integers, so that the order of triangles does not matter.
 
 use super::frame::Frame;
+use super::radiance::hash;
+use super::raster::{Isa, high, low, multiversion};
 use super::triangles::{LANES, Triangles};
 use rayon::prelude::*;
+use std::ops::Range;
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 /// Fragments are counted in parts of this size.
@@ -56,8 +59,18 @@ impl Maps {
         }
     }
 
+    /// Bytes of maps of `size` pixels along a side.
+    pub fn bytes(size: u32) -> u64 {
+        u64::from(size) * u64::from(size) * 19
+    }
+
+    /// Pixels along a side.
+    pub fn size(&self) -> u32 {
+        self.size
+    }
+
     /// Renders all triangles into the finest level.
-    pub fn render(&mut self, triangles: &Triangles, frame: &Frame, counting: Counting) {
+    pub fn render(&mut self, isa: Isa, triangles: &Triangles, frame: &Frame, counting: Counting) {
         self.importance_bits
             .par_chunks_mut(1 << 14)
             .zip(self.counts.par_chunks_mut(1 << 14))
@@ -66,21 +79,12 @@ impl Maps {
                 counts.iter_mut().for_each(|x| *x.get_mut() = 0);
             });
         let maps = &*self;
-        triangles
-            .blocks()
-            .par_iter()
-            .enumerate()
-            .with_min_len(256)
-            .for_each(|(number, block)| {
-                let window = frame.window(block);
-                let count = LANES.min(triangles.len() - number * LANES);
-                for lane in 0..count {
-                    let x = [window[0][lane], window[1][lane], window[2][lane]];
-                    let y = [window[3][lane], window[4][lane], window[5][lane]];
-                    let importance = triangles.importance()[number * LANES + lane];
-                    maps.mark(x, y, importance, counting);
-                }
-            });
+        let blocks = triangles.blocks().len();
+        let share = 256;
+        (0..blocks.div_ceil(share)).into_par_iter().for_each(|n| {
+            let blocks = n * share..blocks.min((n + 1) * share);
+            render(isa, maps, triangles, frame, counting, blocks);
+        });
     }
 
     fn mark(&self, x: [f32; 3], y: [f32; 3], importance: f32, counting: Counting) {
@@ -208,6 +212,91 @@ impl Maps {
             halve(&mut self.fragments, level, size, |a, b, c, d| {
                 (a + b + c + d) * 0.25
             });
+        }
+    }
+}
+
+multiversion! {
+    fn render(
+        maps: &Maps,
+        triangles: &Triangles,
+        frame: &Frame,
+        counting: Counting,
+        blocks: Range<usize>,
+    ) = render_lanes
+}
+
+/// Blocks of sixteen triangles; those that lie on four pixels mark them once for all.
+#[inline(always)]
+fn render_lanes(
+    maps: &Maps,
+    triangles: &Triangles,
+    frame: &Frame,
+    counting: Counting,
+    blocks: Range<usize>,
+) {
+    let last = maps.size as i32 - 1;
+    for number in blocks {
+        let window = frame.window(&triangles.blocks()[number]);
+        let first = number * LANES;
+        let count = LANES.min(triangles.len() - first);
+        let importance = &triangles.importance()[first..first + count];
+        let (mut box_low, mut box_high) = ([0; 2], [0; 2]);
+        for axis in 0..2 {
+            let [a, b, c] = [3 * axis, 3 * axis + 1, 3 * axis + 2];
+            let (mut lows, mut highs) = ([0.0; LANES], [0.0; LANES]);
+            for lane in 0..LANES {
+                // The lanes beyond the last triangle repeat it.
+                let lane_of = if lane < count { lane } else { count - 1 };
+                let (a, b, c) = (window[a][lane_of], window[b][lane_of], window[c][lane_of]);
+                lows[lane] = low(a, low(b, c));
+                highs[lane] = high(a, high(b, c));
+            }
+            for half in [8, 4, 2, 1] {
+                for lane in 0..half {
+                    lows[lane] = low(lows[lane], lows[lane + half]);
+                    highs[lane] = high(highs[lane], highs[lane + half]);
+                }
+            }
+            box_low[axis] = (lows[0] as i32).clamp(0, last);
+            box_high[axis] = (highs[0] as i32).clamp(0, last);
+        }
+        let together = (0..2).all(|axis| box_high[axis] - box_low[axis] <= 1);
+        if together && counting == Counting::Area {
+            let need = importance.iter().fold(0.0, |a, &b| high(a, b));
+            if need > 0.0 {
+                for row in box_low[1]..=box_high[1] {
+                    for column in box_low[0]..=box_high[0] {
+                        maps.need(row * (last + 1) + column, need);
+                    }
+                }
+            }
+            let mut areas = [0.0; LANES];
+            for lane in 0..count {
+                let x = [window[0][lane], window[1][lane], window[2][lane]];
+                let y = [window[3][lane], window[4][lane], window[5][lane]];
+                let area = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0]);
+                areas[lane] = area.abs();
+            }
+            let area = 0.5 * areas.iter().sum::<f32>();
+            // A quarter to each of four pixels, or all to one; rounded by chance.
+            let chance = (hash(number as u32) >> 8) as f32 / (1 << 24) as f32;
+            let cells = (1 + box_high[0] - box_low[0]) * (1 + box_high[1] - box_low[1]);
+            let parts = (area * FRACTION / cells as f32 + chance) as u32;
+            if parts > 0 {
+                for row in box_low[1]..=box_high[1] {
+                    for column in box_low[0]..=box_high[0] {
+                        let pixel = (row * (last + 1) + column) as usize;
+                        maps.counts[pixel].fetch_add(parts, Relaxed);
+                    }
+                }
+            }
+            continue;
+        }
+        for lane in 0..count {
+            let x = [window[0][lane], window[1][lane], window[2][lane]];
+            let y = [window[3][lane], window[4][lane], window[5][lane]];
+            maps.mark(x, y, importance[lane], counting);
         }
     }
 }

@@ -2,21 +2,18 @@
 //!
 //! A fragment is one word, so that sorting by it is sorting by depth, ties by side: the depth's ordered bits above, below them the
 //! side of the light map that the surface's front is (31 bits), and whether the front faces along the line.
+//!
+//! Two layouts hold them, with one interface: [`LinkedList`] is the paper's, [`ScanScatter`] wastes no memory and is
+//! the faster one on a CPU. Both have room for a fixed number of fragments; what finds no room is counted, and
+//! whoever fills them must then ask again for fewer lines.
+
+use super::raster::SPAN;
 
 /// One surface on one line.
 pub(super) type Fragment = u64;
 
 /// The front faces along the line (towards growing depth).
 pub(super) const ALONG: u32 = 1 << 31;
-
-/// Makes a fragment. `front` is below 2^31.
-#[inline(always)]
-pub(super) fn fragment(depth: f32, front: u32) -> Fragment {
-    let bits = depth.to_bits();
-    // Negative floats are ordered backwards.
-    let ordered = bits ^ ((bits as i32 >> 31) as u32 | 1 << 31);
-    u64::from(ordered) << 32 | u64::from(front)
-}
 
 /// The front's side, and whether it faces along the line.
 #[inline(always)]
@@ -29,54 +26,295 @@ pub(super) fn front(fragment: Fragment) -> (u32, bool) {
 pub(super) trait Fragments {
     /// Starts anew for so many lines.
     fn begin(&mut self, lines: usize);
-    /// Puts one in.
-    fn put(&mut self, line: usize, fragment: Fragment);
-    /// Hands out the fragments of every line that has some, in any order of depth.
-    fn lists(&mut self, list: impl FnMut(usize, &mut [Fragment]));
+    /// Puts in the first `count` of eight fragments of neighbouring lines.
+    fn put(&mut self, line: usize, eight: &[Fragment; SPAN], count: usize);
+    /// Fragments that came.
+    fn came(&self) -> u64;
+    /// Fragments that found no room.
+    fn dropped(&self) -> u64;
+    /// Hands out the fragments of every line that has some, in no order of depth.
+    fn lists(&mut self, list: impl FnMut(&mut [Fragment]));
 }
 
-/// Counts the fragments of every line while they come, then moves each to its place: memory is exact, nothing overflows.
-#[derive(Debug, Default)]
+/// Counts the fragments of every line while they come, then moves each to its place (count, scan, scatter).
+#[derive(Debug)]
 pub(super) struct ScanScatter {
-    came: Vec<(u32, Fragment)>,
+    room: usize,
+    count: usize,
+    dropped: u64,
+    /// As they came, and the line of each.
+    fragments: Vec<Fragment>,
+    lines: Vec<u32>,
     counts: Vec<u32>,
     placed: Vec<Fragment>,
 }
 
+impl ScanScatter {
+    /// Bytes for `room` fragments and `lines` lines.
+    pub fn bytes(room: u64, lines: u64) -> u64 {
+        room * 20 + lines * 4 + 1024
+    }
+
+    /// Room for so many fragments; memory is taken as they come.
+    pub fn new(room: usize) -> Self {
+        Self {
+            room,
+            count: 0,
+            dropped: 0,
+            fragments: Vec::new(),
+            lines: Vec::new(),
+            counts: Vec::new(),
+            placed: Vec::new(),
+        }
+    }
+
+    /// More memory, or none is left.
+    #[cold]
+    fn grow(&mut self) -> bool {
+        let most = self.room + SPAN;
+        if self.fragments.len() >= most {
+            return false;
+        }
+        let len = (2 * self.fragments.len()).max(1 << 12).min(most);
+        // Exactly so much: doubling by the vector itself would pass the limit.
+        self.fragments.reserve_exact(len - self.fragments.len());
+        self.fragments.resize(len, 0);
+        self.lines.reserve_exact(len - self.lines.len());
+        self.lines.resize(len, 0);
+        self.count + SPAN <= len
+    }
+}
+
 impl Fragments for ScanScatter {
     fn begin(&mut self, lines: usize) {
-        self.came.clear();
+        self.count = 0;
+        self.dropped = 0;
         self.counts.clear();
-        self.counts.resize(lines, 0);
+        self.counts.resize(lines + SPAN, 0);
     }
 
     #[inline(always)]
-    fn put(&mut self, line: usize, fragment: Fragment) {
-        self.counts[line] += 1;
-        self.came.push((line as u32, fragment));
+    fn put(&mut self, line: usize, eight: &[Fragment; SPAN], count: usize) {
+        if self.count + SPAN > self.fragments.len() && !self.grow() {
+            self.dropped += count as u64;
+            return;
+        }
+        self.fragments[self.count..self.count + SPAN].copy_from_slice(eight);
+        let lines = &mut self.lines[self.count..self.count + SPAN];
+        let counts = &mut self.counts[line..line + SPAN];
+        for k in 0..SPAN {
+            lines[k] = (line + k) as u32;
+            counts[k] += u32::from(k < count);
+        }
+        self.count += count;
     }
 
-    fn lists(&mut self, mut list: impl FnMut(usize, &mut [Fragment])) {
+    fn came(&self) -> u64 {
+        self.count as u64 + self.dropped
+    }
+
+    fn dropped(&self) -> u64 {
+        self.dropped
+    }
+
+    fn lists(&mut self, mut list: impl FnMut(&mut [Fragment])) {
         let mut end = 0;
         for count in &mut self.counts {
             let start = end;
             end += *count;
             *count = start;
         }
-        self.placed.clear();
-        self.placed.resize(self.came.len(), 0);
-        for &(line, fragment) in &self.came {
+        if self.placed.len() < self.count {
+            self.placed.reserve_exact(self.count - self.placed.len());
+            self.placed.resize(self.count, 0);
+        }
+        for (&line, &fragment) in self.lines[..self.count].iter().zip(&self.fragments) {
             let place = &mut self.counts[line as usize];
             self.placed[*place as usize] = fragment;
             *place += 1;
         }
         let mut start = 0;
-        for (line, &end) in self.counts.iter().enumerate() {
+        for &end in &self.counts {
             let fragments = &mut self.placed[start..end as usize];
             start = end as usize;
             if !fragments.is_empty() {
-                list(line, fragments);
+                list(fragments);
             }
         }
+    }
+}
+
+/// A head for every line, and nodes that point to the next: the paper's layout (Carpenter 1984; Yang et al. 2010).
+#[derive(Debug)]
+pub(super) struct LinkedList {
+    room: usize,
+    dropped: u64,
+    heads: Vec<u32>,
+    nodes: Vec<Fragment>,
+    next: Vec<u32>,
+    line: Vec<Fragment>,
+}
+
+/// The end of a list.
+const END: u32 = u32::MAX;
+
+impl LinkedList {
+    /// Bytes for `room` nodes and `lines` lines.
+    pub fn bytes(room: u64, lines: u64) -> u64 {
+        room * 12 + lines * 4 + 1024
+    }
+
+    /// A buffer of so many nodes.
+    pub fn new(room: usize) -> Self {
+        Self {
+            room,
+            dropped: 0,
+            heads: Vec::new(),
+            nodes: Vec::with_capacity(room),
+            next: Vec::with_capacity(room),
+            line: Vec::new(),
+        }
+    }
+}
+
+impl Fragments for LinkedList {
+    fn begin(&mut self, lines: usize) {
+        self.dropped = 0;
+        self.nodes.clear();
+        self.next.clear();
+        self.heads.clear();
+        self.heads.resize(lines, END);
+    }
+
+    #[inline(always)]
+    fn put(&mut self, line: usize, eight: &[Fragment; SPAN], count: usize) {
+        for (head, &fragment) in self.heads[line..line + count].iter_mut().zip(eight) {
+            if self.nodes.len() == self.room {
+                self.dropped += 1;
+                continue;
+            }
+            self.next.push(*head);
+            *head = self.nodes.len() as u32;
+            self.nodes.push(fragment);
+        }
+    }
+
+    fn came(&self) -> u64 {
+        self.nodes.len() as u64 + self.dropped
+    }
+
+    fn dropped(&self) -> u64 {
+        self.dropped
+    }
+
+    fn lists(&mut self, mut list: impl FnMut(&mut [Fragment])) {
+        for &head in &self.heads {
+            if head == END {
+                continue;
+            }
+            self.line.clear();
+            let mut node = head;
+            while node != END {
+                self.line.push(self.nodes[node as usize]);
+                node = self.next[node as usize];
+            }
+            list(&mut self.line);
+        }
+    }
+}
+
+/// The nearest fragments of a single line beyond those that were seen: so a line that meets more than any buffer holds is taken in
+/// depth ranges.
+#[derive(Debug)]
+pub(super) struct Peel {
+    room: usize,
+    /// The last that was seen, and how many equal to it.
+    seen: Option<(Fragment, usize)>,
+    skip: usize,
+    nearest: std::collections::BinaryHeap<Fragment>,
+    more: bool,
+}
+
+impl Peel {
+    /// Ranges of at most `room` fragments.
+    pub fn new(room: usize) -> Self {
+        Self {
+            room: room.max(1),
+            seen: None,
+            skip: 0,
+            nearest: std::collections::BinaryHeap::new(),
+            more: false,
+        }
+    }
+
+    /// Whether some were left for the next range.
+    pub fn more(&self) -> bool {
+        self.more
+    }
+}
+
+impl Fragments for Peel {
+    fn begin(&mut self, _: usize) {
+        self.nearest.clear();
+        self.more = false;
+        self.skip = self.seen.map_or(0, |seen| seen.1);
+    }
+
+    fn put(&mut self, _: usize, eight: &[Fragment; SPAN], count: usize) {
+        for &fragment in &eight[..count] {
+            if let Some((last, _)) = self.seen {
+                if fragment < last {
+                    continue;
+                }
+                if fragment == last && self.skip > 0 {
+                    self.skip -= 1;
+                    continue;
+                }
+            }
+            self.nearest.push(fragment);
+            if self.nearest.len() > self.room {
+                self.nearest.pop();
+                self.more = true;
+            }
+        }
+    }
+
+    fn came(&self) -> u64 {
+        self.nearest.len() as u64
+    }
+
+    fn dropped(&self) -> u64 {
+        0
+    }
+
+    fn lists(&mut self, mut list: impl FnMut(&mut [Fragment])) {
+        let mut fragments = std::mem::take(&mut self.nearest).into_sorted_vec();
+        if let Some(&last) = fragments.last() {
+            let equal = fragments.iter().filter(|&&f| f == last).count();
+            let before = self
+                .seen
+                .filter(|seen| seen.0 == last)
+                .map_or(0, |seen| seen.1);
+            self.seen = Some((last, before + equal));
+            list(&mut fragments);
+        }
+    }
+}
+
+/// Sorts by depth. Most lines meet few surfaces.
+#[inline(always)]
+pub(super) fn sort(fragments: &mut [Fragment]) {
+    if fragments.len() > 24 {
+        fragments.sort_unstable();
+        return;
+    }
+    for i in 1..fragments.len() {
+        let fragment = fragments[i];
+        let mut j = i;
+        while j > 0 && fragments[j - 1] > fragment {
+            fragments[j] = fragments[j - 1];
+            j -= 1;
+        }
+        fragments[j] = fragment;
     }
 }

@@ -101,20 +101,20 @@ impl Frame {
         out
     }
 
-    /// The corners of one triangle in the window.
+    /// Depths of the three corners of sixteen triangles, metres along the lines.
     #[inline(always)]
-    pub fn corners(&self, block: &Block, lane: usize) -> [Vec3; 3] {
-        std::array::from_fn(|k| {
-            let (px, py, pz) = (
-                block[3 * k][lane],
-                block[3 * k + 1][lane],
-                block[3 * k + 2][lane],
-            );
-            Vec3::new(
-                self.x.x * px + self.x.y * py + self.x.z * pz + self.offset.x,
-                self.y.x * px + self.y.y * py + self.y.z * pz + self.offset.y,
-                self.z.x * px + self.z.y * py + self.z.z * pz,
-            )
-        })
+    pub fn depths(&self, block: &Block) -> [[f32; LANES]; 3] {
+        let mut out = [[0.0; LANES]; 3];
+        for k in 0..3 {
+            for lane in 0..LANES {
+                let (px, py, pz) = (
+                    block[3 * k][lane],
+                    block[3 * k + 1][lane],
+                    block[3 * k + 2][lane],
+                );
+                out[k][lane] = self.z.x * px + self.z.y * py + self.z.z * pz;
+            }
+        }
+        out
     }
 }

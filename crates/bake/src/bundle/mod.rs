@@ -22,6 +22,7 @@
 #![allow(clippy::needless_range_loop)]
 
 mod analysis;
+mod backs;
 mod bins;
 mod closed;
 mod fragments;
@@ -31,6 +32,7 @@ mod raster;
 mod tile;
 mod transport;
 mod triangles;
+mod work;
 
 pub use analysis::Counting;
 pub(crate) use closed::is_closed;
@@ -41,18 +43,22 @@ pub use triangles::{Sides, Triangles};
 use crate::sums::{Sums, Unit};
 use analysis::Maps;
 use bins::Bins;
-use fragments::{Fragments, ScanScatter};
-use frame::Frame;
-use glam::{Vec2, Vec3};
-use occlude_render::geometry::covers;
+use fragments::{LinkedList, ScanScatter};
+use glam::Vec3;
 use occlude_render::job::Job;
-use raster::Projected;
-use rayon::prelude::*;
 use std::ops::{AddAssign, Range};
-use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
-use std::time::Instant;
-use tile::{Bounds, Tiling};
-use transport::{Counts, Exchange, Terms};
+use transport::Exchange;
+use work::{Bundle, Setting};
+
+/// How fragments are kept until a tile is whole.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Layout {
+    /// Bin by bin: counted, scanned, scattered. The faster one, and the one that needs least memory.
+    #[default]
+    ScanScatter,
+    /// A tile at a time in linked lists with a fixed buffer of nodes: the paper's.
+    LinkedList,
+}
 
 /// How bundles are cut into tiles.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -69,6 +75,12 @@ pub struct Settings {
     pub factor: f32,
     /// How the analysis counts.
     pub counting: Counting,
+    /// How fragments are kept.
+    pub layout: Layout,
+    /// Split what overflows and do it again; otherwise drop what finds no room, as the paper does, which is for measurements alone.
+    pub recover: bool,
+    /// Entries of triangles in bins at a time, at most; does not change results. More: fewer passes over the triangles of large scenes.
+    pub entries: u32,
 }
 
 impl Default for Settings {
@@ -80,9 +92,55 @@ impl Default for Settings {
             alpha: 0.9,
             factor: 1.0,
             counting: Counting::default(),
+            layout: Layout::default(),
+            recover: true,
+            entries: 1 << 26,
         }
     }
 }
+
+impl Settings {
+    /// Bytes that gathering holds at most, beside triangles, radiance and sums, on so many threads.
+    pub fn bytes(&self, triangles: u64, threads: u64) -> u64 {
+        let (lines, nodes) = (u64::from(self.lines).pow(2), u64::from(self.nodes));
+        let fragments = match self.layout {
+            Layout::ScanScatter => threads * ScanScatter::bytes(nodes / threads.max(1), BIN_LINES),
+            Layout::LinkedList => threads * LinkedList::bytes(nodes, lines),
+        };
+        let entries = u64::from(self.entries).min(4 * triangles + (1 << 16));
+        Maps::bytes(self.analysis)
+            + Bins::ENTRY_BYTES * entries
+            + fragments
+            + threads * Exchange::BYTES
+    }
+
+    /// The fastest settings that hold at most `bytes` bytes so; the smallest there are if that is too few.
+    pub fn within(bytes: u64, triangles: u64, threads: u64) -> Self {
+        let mut settings = Self::default();
+        settings.entries = settings
+            .entries
+            .min((4 * triangles + (1 << 16)).min(1 << 30) as u32);
+        while settings.bytes(triangles, threads) > bytes {
+            let (entries, nodes) = (settings.entries, settings.nodes);
+            if entries > LEAST_ENTRIES && (entries >= nodes || nodes <= LEAST_NODES) {
+                settings.entries = (entries / 2).max(LEAST_ENTRIES);
+            } else if nodes > LEAST_NODES {
+                settings.nodes = (nodes / 2).max(LEAST_NODES);
+            } else if settings.analysis > 256 {
+                settings.analysis /= 2;
+            } else {
+                break;
+            }
+        }
+        settings
+    }
+}
+
+/// With fewer, most of the time goes into doing things again.
+const LEAST_ENTRIES: u32 = 1 << 16;
+const LEAST_NODES: u32 = 1 << 15;
+/// Lines of a bin.
+const BIN_LINES: u64 = (bins::BIN * bins::BIN) as u64;
 
 /// What a range of directions did.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -99,6 +157,16 @@ pub struct Stats {
     pub exchanges: u64,
     /// Tiles.
     pub tiles: u64,
+    /// Tiles that were split because more than the buffers hold was expected.
+    pub splits: u64,
+    /// Splits of tiles that would have had at most W x W lines and, as far as the fragments that were found tell, would have fitted.
+    pub false_alarms: u64,
+    /// Rectangles of lines whose fragments found no room.
+    pub overflow_detected: u64,
+    /// Fragments that found no room at first.
+    pub nodes_dropped: u64,
+    /// Fragments that are missing in the result: 0 unless [`Settings::recover`] is off.
+    pub overflow_left: u64,
     /// Wall-clock seconds by phase.
     pub seconds: Seconds,
 }
@@ -114,6 +182,10 @@ pub struct Seconds {
     pub tiling: f64,
     /// Listing triangles and rasterizing fragments.
     pub creation: f64,
+    /// Of the creation, moving triangles and entering them into lists: their set-up.
+    pub listing: f64,
+    /// Of the creation, what overflowed and was done again.
+    pub redone: f64,
     /// Sorting, exchange and sums.
     pub update: f64,
 }
@@ -126,11 +198,18 @@ impl AddAssign for Stats {
         self.pairs += other.pairs;
         self.exchanges += other.exchanges;
         self.tiles += other.tiles;
+        self.splits += other.splits;
+        self.false_alarms += other.false_alarms;
+        self.overflow_detected += other.overflow_detected;
+        self.nodes_dropped += other.nodes_dropped;
+        self.overflow_left += other.overflow_left;
         let (sum, term) = (&mut self.seconds, other.seconds);
         sum.analysis += term.analysis;
         sum.mipmaps += term.mipmaps;
         sum.tiling += term.tiling;
         sum.creation += term.creation;
+        sum.listing += term.listing;
+        sum.redone += term.redone;
         sum.update += term.update;
     }
 }
@@ -140,6 +219,11 @@ impl Stats {
     pub fn total_seconds(&self) -> f64 {
         let s = self.seconds;
         s.analysis + s.mipmaps + s.tiling + s.creation + s.update
+    }
+
+    /// Share of the time that was lost to overflow.
+    pub fn redo_share(&self) -> f64 {
+        self.seconds.redone / self.total_seconds().max(1e-12)
     }
 }
 
@@ -173,225 +257,27 @@ pub fn gather(
     assert_eq!(radiance.len(), triangles.sides().count());
     assert_eq!(sums.len(), triangles.sides().count());
     let mut stats = Stats::default();
-    let mut bundle = Bundle {
-        maps: Maps::new(settings.analysis),
-        tiling: Tiling::default(),
-        bins: Bins::default(),
-    };
+    let mut bundle = Bundle::new(settings);
     for index in range {
         if job.is_cancelled() {
             break;
         }
-        stats += bundle.gather(triangles, radiance, sky, directions, index, settings, sums);
-        job.advance(1, 0);
-    }
-    stats
-}
-
-/// What is kept from direction to direction.
-struct Bundle {
-    maps: Maps,
-    tiling: Tiling,
-    bins: Bins,
-}
-
-impl Bundle {
-    fn gather(
-        &mut self,
-        triangles: &Triangles,
-        radiance: &Radiance,
-        sky: Option<Sky>,
-        directions: &Directions,
-        index: u32,
-        settings: &Settings,
-        sums: &Sums,
-    ) -> Stats {
-        let mut stats = Stats {
-            directions: 1,
-            ..Stats::default()
-        };
         let direction = directions.direction(index);
-        let frame = Frame::new(&direction, triangles, settings.analysis);
-        let mut clock = Instant::now();
-        let mut lap = || {
-            std::mem::replace(&mut clock, Instant::now())
-                .elapsed()
-                .as_secs_f64()
-        };
-        self.maps.render(triangles, &frame, settings.counting);
-        stats.seconds.analysis = lap();
-        self.maps.reduce();
-        stats.seconds.mipmaps = lap();
-        let bounds = Bounds {
-            lines: settings.lines,
-            nodes: settings.nodes,
-            alpha: settings.alpha,
-            factor: settings.factor,
-        };
-        self.tiling.descend(&self.maps, frame.pixel, &bounds);
-        stats.seconds.tiling = lap();
-        self.bins
-            .fill(triangles, &frame, &self.tiling, direction.key);
         let along = direction.axes[2];
         let end = |towards: Vec3, salt: u32| {
             sky.map_or(0, |sky| {
-                let chance = radiance::hash(direction.key ^ salt);
-                radiance.pack(sky(towards), chance)
+                radiance.pack(sky(towards), radiance::hash(direction.key ^ salt))
             })
         };
-        let work = Work {
+        let sky = [end(-along, 1), end(along, 2)];
+        let setting = Setting {
             triangles,
-            frame: &frame,
-            tiling: &self.tiling,
-            bins: &self.bins,
-            key: direction.key,
-            exchange: Exchange {
-                radiance: radiance.packed(),
-                sides: triangles.sides(),
-                sky: [end(-along, 1), end(along, 2)],
-            },
+            direction,
+            settings,
         };
-        stats.seconds.creation = lap();
-
-        let next = AtomicUsize::new(0);
-        let threads = rayon::current_num_threads();
-        let parts: Vec<Stats> = (0..threads)
-            .into_par_iter()
-            .with_max_len(1)
-            .map(|_| work.bins(&next, radiance, sums))
-            .collect();
-        let seconds = lap();
-        stats.tiles = self.tiling.tiles.len() as u64;
-        stats.lines = self
-            .tiling
-            .tiles
-            .iter()
-            .map(|t| u64::from(t.lines).pow(2))
-            .sum();
-        let mut sum = Stats::default();
-        for part in parts {
-            sum += part;
-        }
-        // What the threads clocked, as shares of the time that passed.
-        let clocked = (sum.seconds.creation + sum.seconds.update).max(1e-12);
-        stats.seconds.creation += seconds * sum.seconds.creation / clocked;
-        stats.seconds.update += seconds * sum.seconds.update / clocked;
-        sum.seconds = Seconds::default();
-        stats += sum;
-        stats
+        let exchange = || Exchange::new(triangles.sides(), radiance, sky, sums);
+        stats += bundle.run(&setting, &exchange);
+        job.advance(1, 0);
     }
-}
-
-/// One direction, shared by threads.
-struct Work<'a> {
-    triangles: &'a Triangles<'a>,
-    frame: &'a Frame,
-    tiling: &'a Tiling,
-    bins: &'a Bins,
-    key: u32,
-    exchange: Exchange<'a>,
-}
-
-impl Work<'_> {
-    /// Takes bins until none is left.
-    fn bins(&self, next: &AtomicUsize, radiance: &Radiance, sums: &Sums) -> Stats {
-        let mut terms = Terms::new(sums, radiance);
-        let mut fragments = ScanScatter::default();
-        let mut stats = Stats::default();
-        loop {
-            let number = next.fetch_add(1, Relaxed);
-            let Some(bin) = self.bins.bins.get(number) else {
-                break;
-            };
-            let list = self.bins.list(number);
-            if list.is_empty() {
-                continue;
-            }
-            let clock = Instant::now();
-            let tile = &self.tiling.tiles[bin.tile as usize];
-            fragments.begin((bin.width * bin.height) as usize);
-            self.rasterize(bin, list, &mut fragments);
-            let created = clock.elapsed().as_secs_f64();
-
-            let spacing = tile.width * self.frame.pixel / tile.lines as f32;
-            terms.set_weight(spacing * spacing / self.triangles.largest_area());
-            let mut counts = Counts::default();
-            let mut count = 0;
-            fragments.lists(|_, list| {
-                raster::sort(list);
-                self.exchange.line(list, &mut terms, &mut counts);
-                count += list.len() as u64;
-            });
-            stats.fragments += count;
-            stats.pairs += counts.pairs;
-            stats.exchanges += counts.exchanges;
-            stats.seconds.creation += created;
-            stats.seconds.update += clock.elapsed().as_secs_f64() - created;
-        }
-        let clock = Instant::now();
-        terms.flush();
-        stats.seconds.update += clock.elapsed().as_secs_f64();
-        stats
-    }
-
-    fn rasterize(&self, bin: &bins::Bin, list: &[u32], fragments: &mut impl Fragments) {
-        let grid = self.bins.grid(bin.tile);
-        let size = [bin.width, bin.height];
-        for &number in list {
-            let block = &self.triangles.blocks()[number as usize / triangles::LANES];
-            let corners = self
-                .frame
-                .corners(block, number as usize % triangles::LANES)
-                .map(|c| {
-                    Vec3::new(
-                        grid.column(c.x) - bin.x as f32,
-                        grid.row(c.y) - bin.y as f32,
-                        c.z,
-                    )
-                });
-            let triangle = Projected {
-                corners,
-                chart: *self.triangles.chart(number),
-                lot: self.triangles.lot(number),
-            };
-            if self.triangles.is_filtered(number) {
-                self.rasterize_filtered(&triangle, number, size, fragments);
-            } else {
-                raster::scan(&triangle, size, fragments, |_, _, _| true);
-            }
-        }
-    }
-
-    /// Cut-outs and blended materials: each fragment is asked whether it is there.
-    fn rasterize_filtered(
-        &self,
-        triangle: &Projected,
-        number: u32,
-        size: [u32; 2],
-        fragments: &mut impl Fragments,
-    ) {
-        let (instance, primitive) = self.triangles.origin(number);
-        let [a, b, c] = triangle.corners;
-        let (d1, d2) = (b - a, c - a);
-        let per_area = 1.0 / (d1.x * d2.y - d2.x * d1.y);
-        let mirrored = self.triangles.is_mirrored(number);
-        raster::scan(triangle, size, fragments, |x, y, z| {
-            let p = Vec2::new(x - a.x, y - a.y);
-            let u = ((p.x * d2.y - p.y * d2.x) * per_area).clamp(0.0, 1.0);
-            let v = ((d1.x * p.y - d1.y * p.x) * per_area).clamp(0.0, 1.0 - u);
-            let (u, v) = if mirrored { (v, u) } else { (u, v) };
-            let place = radiance::hash(z.to_bits() ^ radiance::hash(number ^ self.key));
-            let chance = radiance::hash(place ^ x.to_bits() ^ y.to_bits().rotate_left(13));
-            let chance = (chance >> 8) as f32 / (1 << 24) as f32;
-            covers(
-                self.triangles.scene,
-                self.triangles.pose,
-                instance,
-                primitive,
-                u,
-                v,
-                chance,
-            )
-        });
-    }
+    stats
 }

@@ -37,8 +37,9 @@ pub(super) struct Bounds {
 }
 
 /// What is where in the window: an index into [`Tiling::tiles`], [`Tiling::splits`] or nothing.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Place {
+    #[default]
     Nothing,
     Tile(u32),
     Split(u32),
@@ -50,11 +51,19 @@ pub(super) struct Tiling {
     pub tiles: Vec<Tile>,
     /// Four quarters: x then y.
     pub splits: Vec<[Place; 4]>,
+    /// By split: lines along a side that the whole would have had, and what its empty quarters add to its mean number of fragments a
+    /// line.
+    wholes: Vec<(u32, f32)>,
     /// What covers the window.
     pub root: Option<Place>,
     /// Side of the window, analysis pixels.
     pub size: f32,
+    /// What covers each cell of a coarse grid, row by row: a shorter way down than from the root.
+    cells: Vec<Place>,
 }
+
+/// Cells along a side of the window.
+const CELLS: u32 = 256;
 
 /// A node of the descent.
 #[derive(Clone, Copy)]
@@ -70,6 +79,7 @@ impl Tiling {
     pub fn descend(&mut self, maps: &Maps, pixel: f32, bounds: &Bounds) {
         self.tiles.clear();
         self.splits.clear();
+        self.wholes.clear();
         let top = maps.importance.len() - 1;
         let node = Node {
             level: top,
@@ -78,7 +88,94 @@ impl Tiling {
             most: (f64::from(bounds.lines) * f64::from(bounds.lines)) as f32,
         };
         self.size = (1u32 << top) as f32;
-        self.root = Some(self.node(maps, pixel, bounds, node));
+        let root = self.node(maps, pixel, bounds, node);
+        self.root = Some(root);
+        self.cells.resize((CELLS * CELLS) as usize, Place::Nothing);
+        self.spread(root, 0, 0, CELLS);
+    }
+
+    /// Splits that the lines did not ask for and, going by the fragments that were found in every tile, the nodes did not
+    /// either: false alarms (section 6 of the paper).
+    pub fn false_alarms(&self, found: impl Fn(u32) -> u64, bounds: &Bounds) -> u64 {
+        // Quarters come before their split.
+        let mut means: Vec<f64> = Vec::with_capacity(self.splits.len());
+        let mut alarms = 0;
+        for (quarters, &(lines, empty)) in self.splits.iter().zip(&self.wholes) {
+            let mean = |place: &Place| match *place {
+                Place::Nothing => 0.0,
+                Place::Tile(tile) => {
+                    found(tile) as f64 / f64::from(self.tiles[tile as usize].lines).powi(2)
+                }
+                Place::Split(split) => means[split as usize],
+            };
+            let mean = f64::from(empty) + 0.25 * quarters.iter().map(mean).sum::<f64>();
+            let fragments = mean * f64::from(lines).powi(2);
+            alarms += u64::from(lines <= bounds.lines && fragments <= f64::from(bounds.nodes));
+            means.push(mean);
+        }
+        alarms
+    }
+
+    /// With this root, for tests.
+    #[cfg(test)]
+    pub fn rooted(mut self, root: Place, size: f32) -> Self {
+        (self.root, self.size) = (Some(root), size);
+        self.cells.resize((CELLS * CELLS) as usize, Place::Nothing);
+        self.spread(root, 0, 0, CELLS);
+        self
+    }
+
+    /// Enters a place into the cells that it covers; what is smaller than a cell stays a split.
+    fn spread(&mut self, place: Place, column: u32, row: u32, width: u32) {
+        match place {
+            Place::Split(split) if width > 1 => {
+                let half = width / 2;
+                for (k, quarter) in self.splits[split as usize].into_iter().enumerate() {
+                    let k = k as u32;
+                    self.spread(
+                        quarter,
+                        column + half * (k & 1),
+                        row + half * (k >> 1),
+                        half,
+                    );
+                }
+            }
+            place => {
+                for row in row..row + width {
+                    let start = (row * CELLS + column) as usize;
+                    self.cells[start..start + width as usize].fill(place);
+                }
+            }
+        }
+    }
+
+    /// The smallest place that holds a whole box, its corner and its width.
+    #[inline(always)]
+    pub fn holding(&self, low: [f32; 2], high: [f32; 2]) -> (Place, [f32; 2], f32) {
+        let per_cell = CELLS as f32 / self.size;
+        let cell = |x: f32| ((x * per_cell) as u32).min(CELLS - 1);
+        let (column, row) = (cell(low[0]), cell(low[1]));
+        let same = column == cell(high[0]) && row == cell(high[1]);
+        let (mut place, mut corner, mut width) = if same {
+            let width = self.size / CELLS as f32;
+            let place = self.cells[(row * CELLS + column) as usize];
+            (place, [column as f32 * width, row as f32 * width], width)
+        } else {
+            (self.root.unwrap_or(Place::Nothing), [0.0; 2], self.size)
+        };
+        while let Place::Split(split) = place {
+            let half = 0.5 * width;
+            let middle = [corner[0] + half, corner[1] + half];
+            let (right, below) = (low[0] > middle[0], low[1] > middle[1]);
+            if (!right && high[0] >= middle[0]) || (!below && high[1] >= middle[1]) {
+                break;
+            }
+            place = self.splits[split as usize][usize::from(right) + 2 * usize::from(below)];
+            corner[0] += if right { half } else { 0.0 };
+            corner[1] += if below { half } else { 0.0 };
+            width = half;
+        }
+        (place, corner, width)
     }
 
     fn node(&mut self, maps: &Maps, pixel: f32, bounds: &Bounds, node: Node) -> Place {
@@ -111,7 +208,15 @@ impl Tiling {
             tiling.node(maps, pixel, bounds, node)
         };
         let quarters = [0, 1, 2, 3].map(|k| quarter(self, k));
-        self.split(quarters)
+        let size = 1u32 << (maps.importance.len() - 1 - (node.level - 1));
+        let empty = |k: u32| {
+            let index = (2 * node.row + (k >> 1)) * size + 2 * node.column + (k & 1);
+            match quarters[k as usize] {
+                Place::Nothing => 0.25 * maps.fragments[node.level - 1][index as usize],
+                _ => 0.0,
+            }
+        };
+        self.split(quarters, needed, (0..4).map(empty).sum())
     }
 
     /// Splits below the analysis pixel until the lines fit.
@@ -124,7 +229,7 @@ impl Tiling {
             let corner = [x + half * (k & 1) as f32, y + half * (k >> 1) as f32];
             self.below(corner, half, 0.25 * needed, most)
         });
-        self.split(quarters)
+        self.split(quarters, needed, 0.0)
     }
 
     fn tile(&mut self, [x, y]: [f32; 2], width: f32, lines: u32) -> Place {
@@ -132,11 +237,12 @@ impl Tiling {
         Place::Tile(self.tiles.len() as u32 - 1)
     }
 
-    fn split(&mut self, quarters: [Place; 4]) -> Place {
+    fn split(&mut self, quarters: [Place; 4], needed: f32, empty: f32) -> Place {
         if quarters == [Place::Nothing; 4] {
             return Place::Nothing;
         }
         self.splits.push(quarters);
+        self.wholes.push((needed.sqrt().ceil() as u32, empty));
         Place::Split(self.splits.len() as u32 - 1)
     }
 }

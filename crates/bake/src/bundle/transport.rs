@@ -2,117 +2,21 @@
 
 use super::fragments::{Fragment, front};
 use super::radiance::{MANTISSA_BITS, Radiance};
-use super::triangles::{NO_SIDE, Sides};
+use super::triangles::{BACK_RUN, NO_SIDE, Sides};
 use crate::sums::{Run, Sums};
 
-/// Terms that wait for the lock of their run of sums, for each run.
-const WAITING: usize = 512;
-
-/// A term on its way: the side that it belongs to, and the packed radiance. The side [`NO_SIDE`] says that the weight changes: its
-/// bits follow.
-type Term = [u32; 2];
-
-/// Collects the terms of one thread by runs of sums.
-#[derive(Debug)]
-pub(super) struct Terms<'a> {
-    sums: &'a Sums,
-    /// Radiance of mantissa 1 at exponent 0.
-    least: f32,
-    waiting: Vec<Waiting>,
-    weight: f32,
-}
-
-#[derive(Clone, Debug, Default)]
-struct Waiting {
-    terms: Vec<Term>,
-    /// Weight of the last term.
-    weight: f32,
-}
-
-impl<'a> Terms<'a> {
-    pub fn new(sums: &'a Sums, radiance: &Radiance) -> Self {
-        Self {
-            sums,
-            least: radiance.scale().least(),
-            waiting: vec![Waiting::default(); sums.runs()],
-            weight: 0.0,
-        }
-    }
-
-    /// All terms from now on have this weight.
-    pub fn set_weight(&mut self, weight: f32) {
-        self.weight = weight;
-    }
-
-    #[inline(always)]
-    fn add(&mut self, side: u32, packed: u32) {
-        let run = self.sums.run_of(side);
-        let waiting = &mut self.waiting[run];
-        if waiting.weight != self.weight || waiting.terms.is_empty() {
-            waiting.weight = self.weight;
-            waiting.terms.push([NO_SIDE, self.weight.to_bits()]);
-        }
-        waiting.terms.push([side, packed]);
-        if waiting.terms.len() >= WAITING {
-            enter(
-                &waiting.terms,
-                &mut self.sums.lock(run),
-                self.sums,
-                self.least,
-            );
-            waiting.terms.clear();
-        }
-    }
-
-    /// Enters everything that waits.
-    pub fn flush(&mut self) {
-        for (run, waiting) in self.waiting.iter_mut().enumerate() {
-            if !waiting.terms.is_empty() {
-                enter(
-                    &waiting.terms,
-                    &mut self.sums.lock(run),
-                    self.sums,
-                    self.least,
-                );
-                waiting.terms.clear();
-            }
-        }
-    }
-}
-
-/// Adds terms to a run.
-fn enter(terms: &[Term], run: &mut Run, sums: &Sums, least: f32) {
-    let first = run.first();
-    let mut scales = [0.0; 32];
-    let mut weight = 0;
-    let unit = sums.unit();
-    let sums = run.sums();
-    for &[side, packed] in terms {
-        if side == NO_SIDE {
-            let a = f64::from(f32::from_bits(packed));
-            weight = (a * unit.weight) as i64;
-            for (exponent, scale) in scales.iter_mut().enumerate() {
-                *scale = a * f64::from(least) * 2f64.powi(exponent as i32) * unit.radiance;
-            }
-            continue;
-        }
-        let scale = scales[(packed >> (3 * MANTISSA_BITS)) as usize];
-        let mask = (1 << MANTISSA_BITS) - 1;
-        let sum = &mut sums[(side - first) as usize];
-        for (channel, sum) in sum.iter_mut().take(3).enumerate() {
-            let mantissa = packed >> (MANTISSA_BITS * channel as u32) & mask;
-            *sum = sum.wrapping_add((f64::from(mantissa) * scale) as i64);
-        }
-        sum[3] = sum[3].wrapping_add(weight);
-    }
-}
-
-/// What the lines of a bundle exchange.
-pub(super) struct Exchange<'a> {
-    pub radiance: &'a [u32],
-    pub sides: &'a Sides,
-    /// Packed radiance of the sky that arrives at the lower and at the upper open end.
-    pub sky: [u32; 2],
+/// Whoever looks at lines with all their surfaces, in order of depth.
+pub(super) trait Lines {
+    /// All lines from now on stand for this area (relative to the largest that a side has).
+    fn set_weight(&mut self, weight: f32);
+    /// Some more surfaces of the line at hand, all beyond those before.
+    fn surfaces(&mut self, fragments: &[Fragment]);
+    /// The line ends.
+    fn end_line(&mut self);
+    /// No line comes any more.
+    fn finish(&mut self);
+    /// What was counted.
+    fn counts(&self) -> Counts;
 }
 
 /// What happened on some lines.
@@ -124,45 +28,150 @@ pub(super) struct Counts {
     pub exchanges: u64,
 }
 
-impl Exchange<'_> {
-    /// The light on one line, whose fragments are sorted.
-    #[inline(always)]
-    pub fn line(&self, fragments: &[Fragment], terms: &mut Terms, counts: &mut Counts) {
-        let fronts = self.sides.fronts_count();
-        let texels = self.sides.texels();
-        // What looks up from below the segment at hand, and what it sends.
-        let mut below = NO_SIDE;
-        let mut from_below = self.sky[0];
-        for &fragment in fragments {
-            let (front, along) = front(fragment);
-            let back = self.back(front);
-            let (down, up) = if along { (back, front) } else { (front, back) };
-            let from_above = self.sent(down);
-            if below != NO_SIDE {
-                terms.add(below, from_above);
-            }
-            if down != NO_SIDE {
-                terms.add(down, from_below);
-            }
-            if below < fronts && down < fronts {
-                counts.pairs += 1;
-                counts.exchanges += u64::from(below < texels) + u64::from(down < texels);
-            }
-            below = up;
-            from_below = self.sent(up);
+/// Terms that wait for the lock of their run of sums, for each run.
+const WAITING: usize = 512;
+
+/// What [`Sums::runs`] may be.
+const RUNS_AT_MOST: usize = 512;
+
+/// A term on its way: the side that it belongs to above, the packed radiance below. The side [`NO_SIDE`] says that the weight changes: its
+/// bits are below.
+type Term = u64;
+
+/// Collects the terms of one thread by runs of sums.
+struct Terms<'a> {
+    sums: &'a Sums,
+    /// Radiance of mantissa 1 at exponent 0.
+    least: f32,
+    weight: f32,
+    /// By run: how many wait, and the weight of the last.
+    heads: Vec<(u32, f32)>,
+    /// By run, [`WAITING`] each.
+    terms: Vec<Term>,
+}
+
+impl<'a> Terms<'a> {
+    fn new(sums: &'a Sums, radiance: &Radiance) -> Self {
+        Self {
+            sums,
+            least: radiance.scale().least(),
+            weight: 0.0,
+            heads: vec![(0, 0.0); sums.runs()],
+            terms: vec![0; sums.runs() * WAITING],
         }
-        if below != NO_SIDE {
-            terms.add(below, self.sky[1]);
+    }
+
+    #[inline(always)]
+    fn add(&mut self, side: u32, packed: u32) {
+        let run = self.sums.run_of(side);
+        let (count, weight) = &mut self.heads[run];
+        let terms = &mut self.terms[run * WAITING..(run + 1) * WAITING];
+        if *weight != self.weight {
+            *weight = self.weight;
+            terms[*count as usize] = term(NO_SIDE, self.weight.to_bits());
+            *count += 1;
+        }
+        terms[*count as usize] = term(side, packed);
+        *count += 1;
+        // Room for a change of weight and a term.
+        if *count as usize > WAITING - 2 {
+            enter(
+                &terms[..*count as usize],
+                &mut self.sums.lock(run),
+                self.sums,
+                self.least,
+            );
+            self.heads[run] = (0, 0.0);
+        }
+    }
+
+    /// Enters everything that waits.
+    fn flush(&mut self) {
+        for (run, (count, weight)) in self.heads.iter_mut().enumerate() {
+            if *count > 0 {
+                let terms = &self.terms[run * WAITING..][..*count as usize];
+                enter(terms, &mut self.sums.lock(run), self.sums, self.least);
+                (*count, *weight) = (0, 0.0);
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn term(side: u32, low: u32) -> Term {
+    u64::from(side) << 32 | u64::from(low)
+}
+
+/// Adds terms to a run.
+fn enter(terms: &[Term], run: &mut Run, sums: &Sums, least: f32) {
+    let first = run.first();
+    let mut scales = [0.0; 32];
+    let mut weight = 0;
+    let unit = sums.unit();
+    let sums = run.sums();
+    for &term in terms {
+        let (side, packed) = ((term >> 32) as u32, term as u32);
+        if side == NO_SIDE {
+            let a = f64::from(f32::from_bits(packed));
+            weight = (a * unit.weight) as i64;
+            for (exponent, scale) in scales.iter_mut().enumerate() {
+                *scale = a * f64::from(least) * (1u64 << exponent) as f64 * unit.radiance;
+            }
+            continue;
+        }
+        let scale = scales[(packed >> (3 * MANTISSA_BITS)) as usize];
+        let mask = (1 << MANTISSA_BITS) - 1;
+        let sum = &mut sums[(side - first) as usize];
+        for (channel, sum) in sum.iter_mut().take(3).enumerate() {
+            let mantissa = (packed >> (MANTISSA_BITS * channel as u32) & mask) as i32;
+            let fixed = f64::from(mantissa) * scale;
+            // SAFETY: the unit is chosen so that sums of all terms stay below 2^63.
+            *sum = sum.wrapping_add(unsafe { fixed.to_int_unchecked::<i64>() });
+        }
+        sum[3] = sum[3].wrapping_add(weight);
+    }
+}
+
+/// Exchanges light along the lines.
+pub(super) struct Exchange<'a> {
+    radiance: &'a [u32],
+    backs: &'a [u32],
+    fronts: u32,
+    texels: u32,
+    /// Packed radiance of the sky that arrives at the lower and at the upper open end.
+    sky: [u32; 2],
+    terms: Terms<'a>,
+    counts: Counts,
+    /// What looks up at the end of the line so far, and what it sends.
+    below: u32,
+    from_below: u32,
+}
+
+impl<'a> Exchange<'a> {
+    /// Bytes of a thread at most.
+    pub const BYTES: u64 = (RUNS_AT_MOST * WAITING * 8) as u64;
+
+    pub fn new(sides: &'a Sides, radiance: &'a Radiance, sky: [u32; 2], sums: &'a Sums) -> Self {
+        Self {
+            radiance: radiance.packed(),
+            backs: sides.backs(),
+            fronts: sides.fronts_count(),
+            texels: sides.texels(),
+            sky,
+            terms: Terms::new(sums, radiance),
+            counts: Counts::default(),
+            below: NO_SIDE,
+            from_below: sky[0],
         }
     }
 
     #[inline(always)]
     fn back(&self, front: u32) -> u32 {
-        let first = self.sides.backs()[(front / 64) as usize];
+        let first = self.backs[(front / BACK_RUN) as usize];
         if first == NO_SIDE {
             NO_SIDE
         } else {
-            first + front % 64
+            first + front % BACK_RUN
         }
     }
 
@@ -173,5 +182,53 @@ impl Exchange<'_> {
         } else {
             self.radiance[side as usize]
         }
+    }
+}
+
+impl Lines for Exchange<'_> {
+    fn set_weight(&mut self, weight: f32) {
+        self.terms.weight = weight;
+    }
+
+    #[inline(always)]
+    fn surfaces(&mut self, fragments: &[Fragment]) {
+        let (mut below, mut from_below) = (self.below, self.from_below);
+        for &fragment in fragments {
+            let (front, along) = front(fragment);
+            let back = self.back(front);
+            let (down, up) = if along { (back, front) } else { (front, back) };
+            if below != NO_SIDE {
+                let from_above = self.sent(down);
+                self.terms.add(below, from_above);
+            }
+            if down != NO_SIDE {
+                self.terms.add(down, from_below);
+            }
+            // Backs and no side are beyond all fronts.
+            if below < self.fronts && down < self.fronts {
+                self.counts.pairs += 1;
+                self.counts.exchanges +=
+                    u64::from(below < self.texels) + u64::from(down < self.texels);
+            }
+            below = up;
+            from_below = self.sent(up);
+        }
+        (self.below, self.from_below) = (below, from_below);
+    }
+
+    #[inline(always)]
+    fn end_line(&mut self) {
+        if self.below != NO_SIDE {
+            self.terms.add(self.below, self.sky[1]);
+        }
+        (self.below, self.from_below) = (NO_SIDE, self.sky[0]);
+    }
+
+    fn finish(&mut self) {
+        self.terms.flush();
+    }
+
+    fn counts(&self) -> Counts {
+        self.counts
     }
 }

@@ -6,14 +6,13 @@
 //! Every surface blocks and reflects on both sides, and radiance leaves from *sides*:
 //! * the front of a texel of the atlas; that is what is baked;
 //! * the front of a *stand-in*: a triangle that has no texels still blocks and reflects, with one value for all of it;
-//! * the back of either, where it can be seen: not of meshes that are closed, fronts outwards.
+//! * the back of either, where it matters: [`Triangles::find_backs`] looks which backs are seen by something that is seen.
 
-use super::closed::is_closed;
+use super::radiance::hash;
 use crate::atlas::Atlas;
 use glam::{Vec2, Vec3};
-use occlude_render::geometry::{WorldTriangle, is_filtered};
+use occlude_render::geometry::{WorldTriangle, covers, is_filtered};
 use occlude_scene::{Pose, Scene};
-use rayon::prelude::*;
 
 /// Triangles of a block.
 pub(super) const LANES: usize = 16;
@@ -25,7 +24,7 @@ pub(super) type Block = [[f32; LANES]; 9];
 const STAND_IN_ROW: u32 = 4096;
 
 /// Sides of this many neighbouring texels have their backs together, or none has.
-const BACK_RUN: u32 = 64;
+pub(super) const BACK_RUN: u32 = 64;
 
 /// No side is there.
 pub(super) const NO_SIDE: u32 = u32::MAX;
@@ -63,7 +62,7 @@ impl Sides {
         self.texels + self.stand_ins.len() as u32
     }
 
-    /// The back of a front, if it can be seen.
+    /// The back of a front, if it matters.
     pub fn back_of(&self, front: u32) -> Option<u32> {
         let first = *self.backs.get((front / BACK_RUN) as usize)?;
         (first != NO_SIDE).then(|| first + front % BACK_RUN)
@@ -102,8 +101,8 @@ const MIRRORED: u32 = 1 << 30;
 /// All triangles of a posed scene with their places in the light map.
 #[derive(Debug)]
 pub struct Triangles<'a> {
-    pub(super) scene: &'a Scene,
-    pub(super) pose: &'a Pose,
+    scene: &'a Scene,
+    pose: &'a Pose,
     sides: Sides,
     blocks: Vec<Block>,
     charts: Vec<[Vec2; 3]>,
@@ -124,7 +123,7 @@ impl<'a> Triangles<'a> {
     /// Bytes a triangle takes.
     pub const BYTES: u64 = (size_of::<Block>() / LANES + size_of::<[Vec2; 3]>() + 4 + 4) as u64;
 
-    /// Flattens a posed scene. O(triangles), plus sorting the edges of every mesh once.
+    /// Flattens a posed scene. O(triangles). No back has a number yet: see [`Triangles::find_backs`].
     pub fn new(scene: &'a Scene, pose: &'a Pose, atlas: &Atlas) -> Self {
         let mut firsts = vec![0];
         for posed in &pose.instances {
@@ -202,7 +201,8 @@ impl<'a> Triangles<'a> {
             }
             triangles.bound_importance(number);
         }
-        triangles.find_backs();
+        let runs = triangles.sides.fronts_count().div_ceil(BACK_RUN);
+        triangles.number_backs((0..runs).map(|_| false));
         triangles
     }
 
@@ -288,42 +288,18 @@ impl<'a> Triangles<'a> {
         }
     }
 
-    /// Numbers the backs that can be seen.
-    fn find_backs(&mut self) {
-        let closed: Vec<bool> = self
-            .scene
-            .meshes
-            .par_iter()
-            .map(|mesh| !is_filtered(self.scene, mesh) && is_closed(mesh))
-            .collect();
-        let fronts = self.sides.fronts_count();
-        let mut backs = vec![NO_SIDE; fronts.div_ceil(BACK_RUN) as usize];
-        for (number, posed) in self.pose.instances.iter().enumerate() {
-            if posed.deformed.is_none() && closed[posed.mesh as usize] {
-                continue;
-            }
-            for triangle in self.firsts[number]..self.firsts[number + 1] {
-                let chart = self.charts[triangle as usize];
-                let lot = self.lot(triangle);
-                let low = chart[0].min(chart[1]).min(chart[2]);
-                let high = chart[0].max(chart[1]).max(chart[2]);
-                for row in low.y as u32..=high.y as u32 {
-                    let side = |x: f32| (lot.first + row * lot.stride + x as u32) / BACK_RUN;
-                    for run in side(low.x)..=side(high.x) {
-                        if let Some(run) = backs.get_mut(run as usize) {
-                            *run = 0;
-                        }
-                    }
-                }
+    /// Numbers the backs of these runs of fronts.
+    pub(super) fn number_backs(&mut self, seen: impl Iterator<Item = bool>) {
+        let mut next = self.sides.fronts_count();
+        self.sides.fronts.clear();
+        self.sides.backs.clear();
+        for (run, seen) in seen.enumerate() {
+            self.sides.backs.push(if seen { next } else { NO_SIDE });
+            if seen {
+                next += BACK_RUN;
+                self.sides.fronts.push(run as u32 * BACK_RUN);
             }
         }
-        let mut next = fronts;
-        for (run, back) in backs.iter_mut().enumerate().filter(|(_, back)| **back == 0) {
-            *back = next;
-            next += BACK_RUN;
-            self.sides.fronts.push(run as u32 * BACK_RUN);
-        }
-        self.sides.backs = backs;
     }
 
     /// How sides are numbered.
@@ -384,12 +360,49 @@ impl<'a> Triangles<'a> {
         self.notes[triangle as usize] & FILTERED != 0
     }
 
-    pub(super) fn is_mirrored(&self, triangle: u32) -> bool {
-        self.notes[triangle as usize] & MIRRORED != 0
+    /// Where light passes a filtered triangle.
+    pub(super) fn coverage(&self, triangle: u32) -> Coverage<'_> {
+        let (instance, primitive) = self.origin(triangle);
+        Coverage {
+            scene: self.scene,
+            pose: self.pose,
+            instance,
+            primitive,
+            mirrored: self.notes[triangle as usize] & MIRRORED != 0,
+            key: hash(triangle),
+        }
     }
 
     /// The scene's box, relative to its middle.
     pub(super) fn bounds(&self) -> (Vec3, Vec3) {
         (self.low, self.high)
+    }
+}
+
+/// Which points of a cut-out or blended triangle are there.
+pub(super) struct Coverage<'a> {
+    scene: &'a Scene,
+    pose: &'a Pose,
+    instance: u32,
+    primitive: u32,
+    mirrored: bool,
+    key: u32,
+}
+
+impl Coverage<'_> {
+    /// Weights `u` and `v` of the second and third corner; `line` and `key` make chance, where the material is blended.
+    pub fn covers(&self, u: f32, v: f32, line: [u32; 2], key: u32) -> bool {
+        let (u, v) = if self.mirrored { (v, u) } else { (u, v) };
+        let chance = hash(line[0] ^ hash(line[1] ^ hash(key ^ self.key)));
+        let chance = (chance >> 8) as f32 / (1 << 24) as f32;
+        covers(
+            self.scene,
+            self.pose,
+            self.instance,
+            self.primitive,
+            u,
+            v,
+            chance,
+        )
     }
 }
