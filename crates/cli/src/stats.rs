@@ -267,6 +267,12 @@ impl Bake {
                 pairs: b.pairs,
                 exchanges: b.exchanges,
                 tiles: b.tiles,
+                overflow_detected: b.overflow_detected,
+                overflow_left: b.overflow_left,
+                nodes_dropped: b.nodes_dropped,
+                splits: b.splits,
+                false_alarms: b.false_alarms,
+                redo_share: b.redo_share(),
                 seconds: BundleSeconds {
                     analysis: b.seconds.analysis,
                     mipmaps: b.seconds.mipmaps,
@@ -274,7 +280,6 @@ impl Bake {
                     creation: b.seconds.creation,
                     update: b.seconds.update,
                 },
-                ..Bundles::default()
             },
             seconds_per_direction: if b.directions > 0 {
                 b.total_seconds() / b.directions as f64

@@ -83,11 +83,15 @@ fn prepared<T>(
         subject::atlas(work, &loaded, &pose, context)
     })?;
     let texels = Texels::new(&loaded.scene, &pose, &built.atlas);
-    let (geometry, mut triangles) = context.phase("build", |_| {
+    let (geometry, mut triangles) = context.phase("build", |context| {
         let geometry = Geometry::new(&loaded.scene, &pose, &BuildOptions::default())
             .map_err(|error| CliError::input("cannot trace", work.scene.display(), error))?;
-        let triangles = (work.gather != GatherName::Path && work.light != LightPart::Ao)
+        let mut triangles = (work.gather != GatherName::Path && work.light != LightPart::Ao)
             .then(|| Triangles::new(&loaded.scene, &pose, &built.atlas));
+        if let Some(triangles) = &mut triangles {
+            let settings = bundle::Settings::default();
+            triangles.find_backs(context.common.seed, &settings, &context.job);
+        }
         Ok::<_, CliError>((geometry, triangles))
     })?;
     let seed = context.common.seed;
