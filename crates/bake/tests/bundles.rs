@@ -4,9 +4,16 @@ mod support;
 
 use glam::{Vec2, Vec3};
 use occlude_bake::bundle::{self, Directions, Radiance, Settings, Stats, Triangles};
+use occlude_bake::gather::{Gatherer, Part, PathSettings, SurfaceSample, placement};
 use occlude_bake::sums::Sums;
+use occlude_bvh::BuildOptions;
+use occlude_render::geometry::Geometry;
+use occlude_render::integrator::World;
 use occlude_render::job::Job;
+use occlude_render::light::{LightSelection, Lights};
 use occlude_scene::Pose;
+use occlude_testkit::estimate::Estimate;
+use occlude_visibility::Hit;
 use std::f32::consts::PI;
 use support::{Build, matt, texels};
 
@@ -241,6 +248,59 @@ fn the_sky_comes_in_at_open_ends() {
 }
 
 #[test]
+fn blended_sheets_let_their_share_pass_and_mirrored_fronts_stay_fronts() {
+    let mut build = Build::default();
+    build.rectangle(
+        Vec3::ZERO,
+        Vec3::Z * 2.0,
+        Vec3::X * 2.0,
+        Some([8, 8]),
+        matt(0.5),
+    );
+    let sheet = occlude_scene::Material {
+        base_color: glam::Vec4::new(0.5, 0.5, 0.5, 0.3),
+        alpha_mode: occlude_scene::AlphaMode::Blend,
+        ..matt(0.5)
+    };
+    build.rectangle(Vec3::Y * 0.05, Vec3::Z * 2.0, Vec3::X * 2.0, None, sheet);
+    // Its front is up as it stands, and down once it is mirrored.
+    build.rectangle(
+        Vec3::Y * -50.0,
+        Vec3::Z * 2.0,
+        Vec3::X * 2.0,
+        Some([2, 2]),
+        matt(0.5),
+    );
+    let (mut scene, atlas) = (build.scene.clone(), build.atlas());
+    scene.instances[2].node_from_object = glam::Affine3A::from_scale(Vec3::new(-1.0, 1.0, 1.0));
+    let pose = Pose::at(&scene, 0.0);
+    let triangles = Triangles::new(&scene, &pose, &atlas);
+    let sky = |towards: Vec3| Vec3::splat(if towards.y > 0.0 { 1.0 } else { 0.1 });
+    let (sums, _) = gather(&triangles, |_| Vec3::ZERO, Some(&sky), 0, 600, &settings());
+    let mean = |instance: usize, inner: bool| {
+        let list = texels(&atlas, instance);
+        let list = list
+            .iter()
+            .filter(|t| !inner || (t.1 - 0.5).abs().max_element() < 0.3);
+        let all: Vec<f32> = list.map(|t| sums.irradiance(t.0).unwrap().x).collect();
+        all.iter().sum::<f32>() / all.len() as f32
+    };
+    // Three in ten lines end at the sheet, which is black here.
+    let floor = mean(0, true);
+    assert!((floor / (0.7 * PI) - 1.0).abs() < 0.015, "{floor}");
+    let mirrored = mean(2, false);
+    let upright = occlude_render::geometry::WorldTriangle::new(&scene, &pose, 2, 0)
+        .front_cross()
+        .y
+        > 0.0;
+    let expected = if upright { PI } else { 0.1 * PI };
+    assert!(
+        (mirrored / expected - 1.0).abs() < 0.02,
+        "{mirrored} {expected}"
+    );
+}
+
+#[test]
 fn memory_layouts_and_lists_leave_no_trace() {
     let mut build = Build::default();
     build.room(Vec3::ZERO, Vec3::ONE, UNLIKE, &matt(0.5));
@@ -374,4 +434,152 @@ fn threads_shards_and_order_leave_no_trace() {
     let one = run(1, &[0..5, 5..12]);
     assert!(one == run(3, &[0..5, 5..12]), "threads");
     assert!(one == run(2, &[7..12, 0..3, 3..7]), "shards");
+}
+
+#[test]
+fn bundles_agree_with_paths() {
+    let (emission, albedo, bounces) = (Vec3::new(1.0, 0.5, 0.2), 0.6, 2);
+    let mut build = Build::default();
+    let walls = [[6, 8], [8, 12], [10, 4], [4, 6], [8, 8], [5, 5]];
+    build.room(Vec3::ZERO, Vec3::new(2.0, 1.5, 1.8), walls, &matt(albedo));
+    let lamp = occlude_scene::Material {
+        emission,
+        ..matt(albedo)
+    };
+    build.rectangle(
+        Vec3::new(0.6, 1.3, 0.7),
+        Vec3::X * 0.3,
+        Vec3::Z * 0.4,
+        Some([2, 2]),
+        lamp,
+    );
+    // A leaf that stands in the way, seen from both sides.
+    build.rectangle(
+        Vec3::new(1.2, 0.5, 0.9),
+        Vec3::new(0.3, 0.0, 0.3),
+        Vec3::Y * 0.4,
+        Some([8, 8]),
+        matt(albedo),
+    );
+    let (scene, atlas) = (&build.scene, build.atlas());
+    let pose = Pose::at(scene, 0.0);
+    let mut triangles = Triangles::new(scene, &pose, &atlas);
+    triangles.find_backs(0, &settings(), &Job::new());
+    let geometry = Geometry::new(scene, &pose, &BuildOptions::default()).unwrap();
+    let lights = Lights::new(scene, &pose, None, LightSelection::Tree);
+    let world = World {
+        geometry: &geometry,
+        lights: &lights,
+    };
+    let sides = triangles.sides().count() as usize;
+    let emits: Vec<u32> = texels(&atlas, 6).iter().map(|t| t.0).collect();
+    // Blocks of texels: means over them, by seed.
+    let list: Vec<Vec<u32>> = (0..8)
+        .flat_map(|i| {
+            let all: Vec<u32> = texels(&atlas, i).iter().map(|t| t.0).collect();
+            let blocks: Vec<Vec<u32>> = all.chunks(16).map(<[u32]>::to_vec).collect();
+            blocks
+        })
+        .collect();
+    let (seeds, count) = (8, 250);
+    let by_bundles: Vec<Vec<Vec3>> = (0..seeds)
+        .map(|seed| {
+            let mut total = vec![Vec3::ZERO; sides];
+            let mut light = vec![Vec3::ZERO; sides];
+            emits.iter().for_each(|&t| light[t as usize] = emission);
+            for round in 0..=bounces {
+                let directions = Directions { seed, round };
+                let (sums, _) = gather_along(
+                    &triangles,
+                    |s| light[s as usize],
+                    None,
+                    &directions,
+                    count,
+                    &settings(),
+                );
+                for side in 0..sides {
+                    let arrived = sums.irradiance(side as u32).unwrap_or(Vec3::ZERO);
+                    total[side] += arrived;
+                    light[side] = arrived * (albedo / PI);
+                }
+            }
+            total
+        })
+        .collect();
+    let by_paths: Vec<Vec<Vec3>> = (0..seeds)
+        .map(|seed| {
+            let settings = PathSettings {
+                part: Part::All,
+                bounces,
+                reach: f32::INFINITY,
+                seed,
+            };
+            let mut samples = Vec::new();
+            let each = 64;
+            for instance in 0..8 {
+                let size = atlas.layouts[instance].pieces[0].as_vec2();
+                for (texel, middle) in texels(&atlas, instance) {
+                    for number in 0..each {
+                        let p = middle + (placement(seed, texel, number) - 0.5) / size;
+                        let (primitive, u, v) = if p.x >= p.y {
+                            (0, p.x - p.y, p.y)
+                        } else {
+                            (1, p.x, p.y - p.x)
+                        };
+                        samples.push(SurfaceSample {
+                            point: Hit {
+                                t: 0.0,
+                                u,
+                                v,
+                                instance: instance as u32,
+                                primitive,
+                            },
+                            number,
+                            side: texel,
+                            back: false,
+                        });
+                    }
+                }
+            }
+            let mut irradiance = vec![Vec3::ZERO; samples.len()];
+            let mut gatherer = Gatherer::default();
+            gatherer.gather(&world, &settings, &samples, &mut irradiance);
+            let mut total = vec![Vec3::ZERO; sides];
+            for (sample, e) in samples.iter().zip(irradiance) {
+                total[sample.side as usize] += e / each as f32;
+            }
+            total
+        })
+        .collect();
+    let mut worst: f64 = 1.0;
+    for block in &list {
+        for channel in 0..3 {
+            let estimate = |runs: &[Vec<Vec3>]| {
+                Estimate::of(runs.iter().map(|run| {
+                    let sum: f32 = block.iter().map(|&t| run[t as usize][channel]).sum();
+                    f64::from(sum / block.len() as f32)
+                }))
+            };
+            let (a, b) = (estimate(&by_bundles), estimate(&by_paths));
+            let p = a.same(&b);
+            assert!(
+                (a.mean / b.mean - 1.0).abs() < 0.1,
+                "bundles {} paths {}",
+                a.mean,
+                b.mean
+            );
+            worst = worst.min(p);
+        }
+    }
+    println!("least probability {worst} of {} blocks", list.len());
+    // Welch's test; Bonferroni over blocks and channels at one false alarm in a thousand runs.
+    assert!(worst > 1e-3 / (3 * list.len()) as f64, "{worst}");
+    let mean = |runs: &[Vec<Vec3>]| -> f32 {
+        let of =
+            |run: &Vec<Vec3>| -> f32 { list.iter().flatten().map(|&t| run[t as usize].x).sum() };
+        runs.iter().map(of).sum()
+    };
+    let ratio = mean(&by_bundles) / mean(&by_paths);
+    println!("energy {ratio}");
+    assert!((ratio - 1.0).abs() < 0.01, "{ratio}");
 }

@@ -30,7 +30,7 @@ impl Triangles<'_> {
             seed,
             round: u32::MAX,
         };
-        let mut bundle = Bundle::new(&settings);
+        let mut bundle = Bundle::new(self, &settings);
         let mut stats = Stats::default();
         for index in 0..DIRECTIONS {
             if job.is_cancelled() {

@@ -240,12 +240,8 @@ struct Window {
     high: [[f32; LANES]; 2],
 }
 
-impl Window {
-    #[inline(always)]
-    fn lane(&self, lane: usize) -> ([f32; 2], [f32; 2]) {
-        (self.low.map(|x| x[lane]), self.high.map(|x| x[lane]))
-    }
-}
+/// A place, its corner and width, and which triangles reach it.
+type Below = (Place, [f32; 2], f32, u32);
 
 #[inline(always)]
 fn enter_lanes(
@@ -296,17 +292,17 @@ fn enter_lanes(
             }
             Place::Tile(_) => {}
             Place::Split(_) => {
-                for lane in 0..count {
-                    bins.enter_one(
-                        tiling,
-                        tiles,
-                        &window,
-                        lane,
-                        first as u32,
-                        &mut stack,
-                        pairs,
-                    );
-                }
+                let whole = tiling.holding(box_low, box_high);
+                bins.enter_tiles(
+                    tiling,
+                    tiles,
+                    &window,
+                    whole,
+                    (1 << count) - 1,
+                    first as u32,
+                    &mut stack,
+                    pairs,
+                );
             }
         }
     }
@@ -314,38 +310,48 @@ fn enter_lanes(
 }
 
 impl Bins {
-    /// Enters one triangle wherever it may meet lines.
+    /// Enters those of sixteen triangles that `mask` names wherever below a place they may meet lines.
     #[inline(always)]
-    fn enter_one(
+    fn enter_tiles(
         &self,
         tiling: &Tiling,
         tiles: &Range<u32>,
         window: &Window,
-        lane: usize,
+        (place, corner, width): (Place, [f32; 2], f32),
+        mask: u32,
         first: u32,
-        stack: &mut Vec<(Place, [f32; 2], f32)>,
+        stack: &mut Vec<Below>,
         pairs: &mut Vec<[u32; 2]>,
     ) {
-        let (low, high) = window.lane(lane);
         stack.clear();
-        stack.push(tiling.holding(low, high));
-        while let Some((place, corner, width)) = stack.pop() {
+        stack.push((place, corner, width, mask));
+        while let Some((place, corner, width, mask)) = stack.pop() {
             match place {
                 Place::Tile(tile) if tiles.contains(&tile) => {
-                    self.enter_tile(tile, window, first, 1 << lane, pairs);
+                    self.enter_tile(tile, window, first, mask, pairs);
                 }
                 Place::Nothing | Place::Tile(_) => {}
                 Place::Split(split) => {
                     let half = 0.5 * width;
                     for (k, quarter) in tiling.splits[split as usize].iter().enumerate() {
-                        let corner = [
+                        if *quarter == Place::Nothing {
+                            continue;
+                        }
+                        let (x, y) = (
                             corner[0] + half * (k & 1) as f32,
                             corner[1] + half * (k >> 1) as f32,
-                        ];
-                        let overlaps =
-                            (0..2).all(|a| low[a] <= corner[a] + half && high[a] >= corner[a]);
-                        if overlaps && *quarter != Place::Nothing {
-                            stack.push((*quarter, corner, half));
+                        );
+                        let mut overlap = [0u32; LANES];
+                        for lane in 0..LANES {
+                            let overlaps = (window.low[0][lane] <= x + half)
+                                & (window.high[0][lane] >= x)
+                                & (window.low[1][lane] <= y + half)
+                                & (window.high[1][lane] >= y);
+                            overlap[lane] = u32::from(overlaps) << lane;
+                        }
+                        let mask = mask & overlap.iter().fold(0, |a, b| a | b);
+                        if mask != 0 {
+                            stack.push((*quarter, [x, y], half, mask));
                         }
                     }
                 }

@@ -63,7 +63,7 @@ pub enum Layout {
 /// How bundles are cut into tiles.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// Analysis pixels along a side of the window, a power of two. More: tiles follow the texels more closely, at more time a direction.
+    /// Analysis pixels along a side of the window at most, a power of two; fewer where there are few texels. More: tiles follow the texels more closely, at more time a direction.
     pub analysis: u32,
     /// Lines along a side of a tile at most: the paper's W. More: fewer tiles, more lines where texels are sparse.
     pub lines: u32,
@@ -257,7 +257,7 @@ pub fn gather(
     assert_eq!(radiance.len(), triangles.sides().count());
     assert_eq!(sums.len(), triangles.sides().count());
     let mut stats = Stats::default();
-    let mut bundle = Bundle::new(settings);
+    let mut bundle = Bundle::new(triangles, settings);
     for index in range {
         if job.is_cancelled() {
             break;

@@ -2,8 +2,9 @@
 
 use super::fragments::{Fragment, front};
 use super::radiance::{MANTISSA_BITS, Radiance};
+use super::raster::{Isa, multiversion};
 use super::triangles::{BACK_RUN, NO_SIDE, Sides};
-use crate::sums::{Run, Sums};
+use crate::sums::{Run, Sum, Sums, Unit};
 
 /// Whoever looks at lines with all their surfaces, in order of depth.
 pub(super) trait Lines {
@@ -28,8 +29,8 @@ pub(super) struct Counts {
     pub exchanges: u64,
 }
 
-/// Terms that wait for the lock of their run of sums, for each run.
-const WAITING: usize = 512;
+/// Terms that wait for the lock of their run of sums, for each run. All of them together stay in the second cache.
+const WAITING: usize = 64;
 
 /// What [`Sums::runs`] may be.
 const RUNS_AT_MOST: usize = 512;
@@ -40,6 +41,7 @@ type Term = u64;
 
 /// Collects the terms of one thread by runs of sums.
 struct Terms<'a> {
+    isa: Isa,
     sums: &'a Sums,
     /// Radiance of mantissa 1 at exponent 0.
     least: f32,
@@ -53,6 +55,7 @@ struct Terms<'a> {
 impl<'a> Terms<'a> {
     fn new(sums: &'a Sums, radiance: &Radiance) -> Self {
         Self {
+            isa: Isa::detect(),
             sums,
             least: radiance.scale().least(),
             weight: 0.0,
@@ -75,10 +78,13 @@ impl<'a> Terms<'a> {
         *count += 1;
         // Room for a change of weight and a term.
         if *count as usize > WAITING - 2 {
+            let mut locked = self.sums.lock(run);
+            let unit = self.sums.unit();
             enter(
+                self.isa,
                 &terms[..*count as usize],
-                &mut self.sums.lock(run),
-                self.sums,
+                &mut locked,
+                unit,
                 self.least,
             );
             self.heads[run] = (0, 0.0);
@@ -90,7 +96,8 @@ impl<'a> Terms<'a> {
         for (run, (count, weight)) in self.heads.iter_mut().enumerate() {
             if *count > 0 {
                 let terms = &self.terms[run * WAITING..][..*count as usize];
-                enter(terms, &mut self.sums.lock(run), self.sums, self.least);
+                let mut locked = self.sums.lock(run);
+                enter(self.isa, terms, &mut locked, self.sums.unit(), self.least);
                 (*count, *weight) = (0, 0.0);
             }
         }
@@ -102,34 +109,64 @@ fn term(side: u32, low: u32) -> Term {
     u64::from(side) << 32 | u64::from(low)
 }
 
-/// Adds terms to a run.
-fn enter(terms: &[Term], run: &mut Run, sums: &Sums, least: f32) {
+multiversion! {
+    /// Adds terms to a run of sums.
+    fn enter(terms: &[Term], run: &mut Run, unit: Unit, least: f32) = enter_lanes
+}
+
+/// Terms ahead whose sums are asked for in time.
+const AHEAD: usize = 12;
+
+#[inline(always)]
+fn enter_lanes(terms: &[Term], run: &mut Run, unit: Unit, least: f32) {
+    const MASK: u32 = (1 << MANTISSA_BITS) - 1;
     let first = run.first();
-    let mut scales = [0.0; 32];
-    let mut weight = 0;
-    let unit = sums.unit();
+    // By exponent: what mantissas of red, green and blue count, and what the weight does.
+    let mut scales = [[0.0; 4]; 32];
     let sums = run.sums();
-    for &term in terms {
+    for (k, &term) in terms.iter().enumerate() {
+        if let Some(ahead) = terms.get(k + AHEAD) {
+            let place = ((ahead >> 32) as u32).wrapping_sub(first) as usize;
+            prefetch(sums, place);
+        }
         let (side, packed) = ((term >> 32) as u32, term as u32);
         if side == NO_SIDE {
             let a = f64::from(f32::from_bits(packed));
-            weight = (a * unit.weight) as i64;
+            let weight = a * unit.weight;
             for (exponent, scale) in scales.iter_mut().enumerate() {
-                *scale = a * f64::from(least) * (1u64 << exponent) as f64 * unit.radiance;
+                let step = a * f64::from(least) * (1u64 << exponent) as f64 * unit.radiance;
+                *scale = [step, step, step, weight];
             }
             continue;
         }
-        let scale = scales[(packed >> (3 * MANTISSA_BITS)) as usize];
-        let mask = (1 << MANTISSA_BITS) - 1;
+        let scale = &scales[(packed >> (3 * MANTISSA_BITS)) as usize];
+        let mantissas = [
+            packed & MASK,
+            packed >> MANTISSA_BITS & MASK,
+            packed >> (2 * MANTISSA_BITS) & MASK,
+            1,
+        ];
         let sum = &mut sums[(side - first) as usize];
-        for (channel, sum) in sum.iter_mut().take(3).enumerate() {
-            let mantissa = (packed >> (MANTISSA_BITS * channel as u32) & mask) as i32;
-            let fixed = f64::from(mantissa) * scale;
-            // SAFETY: the unit is chosen so that sums of all terms stay below 2^63.
-            *sum = sum.wrapping_add(unsafe { fixed.to_int_unchecked::<i64>() });
+        for channel in 0..4 {
+            let fixed = f64::from(mantissas[channel] as i32) * scale[channel];
+            // SAFETY: the unit is chosen so that even the sums of all terms stay below 2^63.
+            sum[channel] = sum[channel].wrapping_add(unsafe { fixed.to_int_unchecked::<i64>() });
         }
-        sum[3] = sum[3].wrapping_add(weight);
     }
+}
+
+/// Asks for a sum that is needed soon.
+#[inline(always)]
+fn prefetch(sums: &[Sum], place: usize) {
+    #[cfg(target_arch = "x86_64")]
+    {
+        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        let address = sums.as_ptr().wrapping_add(place).cast::<i8>();
+        // SAFETY: a prefetch touches no memory that the program could observe, whatever the address.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(address) };
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = (sums, place);
 }
 
 /// Exchanges light along the lines.

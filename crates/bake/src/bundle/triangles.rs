@@ -117,6 +117,7 @@ pub struct Triangles<'a> {
     high: Vec3,
     largest_area: f32,
     area: f64,
+    needed: f64,
 }
 
 impl<'a> Triangles<'a> {
@@ -179,6 +180,7 @@ impl<'a> Triangles<'a> {
             high: high - center,
             largest_area: 0.0,
             area: 0.0,
+            needed: 0.0,
         };
         for (number, posed) in pose.instances.iter().enumerate() {
             let mesh = &scene.meshes[posed.mesh as usize];
@@ -278,6 +280,7 @@ impl<'a> Triangles<'a> {
             world += area(number);
             texels += area(number) * f64::from(self.importance[number]);
         }
+        self.needed += texels;
         let mean = (texels / world) as f32;
         if mean.is_finite() && mean > 0.0 {
             let least = mean * LEAST_SHARE;
@@ -325,6 +328,11 @@ impl<'a> Triangles<'a> {
     /// Area of all triangles, m².
     pub fn area(&self) -> f64 {
         self.area
+    }
+
+    /// Texels that need lines: area times importance.
+    pub(super) fn needed_texels(&self) -> f64 {
+        self.needed
     }
 
     /// Bytes that it takes.

@@ -47,10 +47,14 @@ impl Laps {
 }
 
 impl Bundle {
-    pub fn new(settings: &Settings) -> Self {
+    pub fn new(triangles: &Triangles, settings: &Settings) -> Self {
+        // A few pixels a bin: finer ones would cost more than they tell.
+        let texels = f64::from(settings.factor) * triangles.needed_texels();
+        let useful = (texels.sqrt() / 4.0).min(8192.0) as u32;
+        let size = settings.analysis.min(useful).next_power_of_two();
         Self {
             isa: Isa::detect(),
-            maps: Maps::new(settings.analysis.next_power_of_two().clamp(256, 8192)),
+            maps: Maps::new(size.clamp(256, 8192)),
             tiling: Tiling::default(),
             bins: Bins::default(),
             found: Vec::new(),
