@@ -4,11 +4,13 @@
 //! Nothing is ever cleared: the epoch is part of the digest.
 
 use bytemuck::allocation::{try_zeroed_slice_box, zeroed_slice_box};
+use std::hint::black_box;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
 
-/// Whether the system would give that much. It does not touch what it gives, so asking costs nothing.
+/// Whether the system would give that much. It does not touch what it gives, so asking costs nothing; but a compiler that sees memory
+/// unused would not ask.
 pub(super) fn is_there_memory(bytes: usize) -> bool {
-    try_zeroed_slice_box::<u8>(bytes).is_ok()
+    black_box(try_zeroed_slice_box::<u8>(bytes)).is_ok()
 }
 
 /// One answer a word: 30 bits of digest, the answer, and whether a check has found it wrong somewhere (Popov 2013, section
