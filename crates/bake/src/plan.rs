@@ -201,23 +201,18 @@ impl Bake<'_> {
             seed: self.settings.seed,
             round: u32::MAX,
         };
-        // The first one fills buffers.
-        let mut stats = bundle::Stats::default();
-        let mut seconds = 0.0;
-        for range in [0..1, 1..3] {
-            let began = Instant::now();
-            stats = bundle::gather(
-                triangles,
-                &radiance,
-                None,
-                &directions,
-                range,
-                &self.settings.bundles,
-                job,
-                &sums,
-            );
-            seconds = began.elapsed().as_secs_f64();
-        }
+        let began = Instant::now();
+        let stats = bundle::gather(
+            triangles,
+            &radiance,
+            None,
+            &directions,
+            0..1,
+            &self.settings.bundles,
+            job,
+            &sums,
+        );
+        let seconds = began.elapsed().as_secs_f64();
         let done = (stats.directions as f64).max(1.0);
         (seconds / done, stats.fragments as f64 / done)
     }

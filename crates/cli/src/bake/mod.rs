@@ -82,6 +82,16 @@ fn prepared<T>(
     let built = context.phase("unwrap", |context| {
         subject::atlas(work, &loaded, &pose, context)
     })?;
+    if let Some(limit) = context.common.memory {
+        // What is sure to be too much is refused before hierarchies are built.
+        let triangles = crate::inspect::counts(&loaded.scene).triangles;
+        let least = stats::resident_memory()
+            + triangles * LEAST_BYTES_PER_TRIANGLE
+            + u64::from(built.atlas.texels()) * LEAST_BYTES_PER_TEXEL;
+        if least > limit {
+            return Err(too_little_memory(least));
+        }
+    }
     let texels = Texels::new(&loaded.scene, &pose, &built.atlas);
     let (geometry, mut triangles) = context.phase("build", |context| {
         let geometry = Geometry::new(&loaded.scene, &pose, &BuildOptions::default())
@@ -187,6 +197,18 @@ fn prepared<T>(
     then(&setup, &bake, context)
 }
 
+/// Hierarchy and flattened scene, a triangle; sums, a texel.
+const LEAST_BYTES_PER_TRIANGLE: u64 = 120;
+const LEAST_BYTES_PER_TEXEL: u64 = 32;
+
+fn too_little_memory(needed: u64) -> CliError {
+    CliError::input(
+        format_args!("the work needs at least {} MiB", needed.div_ceil(1 << 20)),
+        "--memory",
+        "raise it, or lower --texels-per-metre",
+    )
+}
+
 /// What the process takes that nobody counts: stacks, buffers of files, gaps between allocations.
 const SLACK_BYTES: u64 = 8 << 20;
 
@@ -196,14 +218,7 @@ pub fn bake(args: &BakeArgs, context: &mut Context, parts: &[PathBuf]) -> Result
         if let Some(limit) = context.common.memory
             && setup.floor > limit
         {
-            return Err(CliError::input(
-                format_args!(
-                    "the work needs at least {} MiB",
-                    setup.floor.div_ceil(1 << 20)
-                ),
-                "--memory",
-                "raise it, or lower --texels-per-metre",
-            ));
+            return Err(too_little_memory(setup.floor));
         }
         gather(args, setup, bake, context, parts)
     })
