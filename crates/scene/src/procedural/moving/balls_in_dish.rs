@@ -155,7 +155,7 @@ fn glaze(b: &mut Builder, seed: u64) -> u32 {
     let noise = Noise::new(16, seed, 1);
     let value = move |x: u32, y: u32| {
         let (u, v) = (x as f32 / SIDE as f32, y as f32 / SIDE as f32);
-        (noise.at(u, v), (y / 16) % 2 == 0)
+        (noise.at(u, v), (y / 16).is_multiple_of(2))
     };
     let color = b.picture("glaze", SIDE, |x, y| {
         let (noise, ring) = value(x, y);
