@@ -8,6 +8,7 @@ mod dynamic;
 mod pictures;
 mod quantized;
 mod rays;
+mod records;
 
 use clap::{Parser, ValueEnum};
 use std::path::PathBuf;
@@ -66,6 +67,8 @@ enum Suite {
     Dynamic,
     /// Ray bundles against rays: exchanges, set-up, tables of the paper, a town of 45 million texels.
     Bake,
+    /// Visibility records against exact rays: fills, rates, time, error.
+    Records,
 }
 
 fn main() -> ExitCode {
@@ -90,6 +93,7 @@ fn main() -> ExitCode {
         Suite::Quantized => quantized::run(&setting),
         Suite::Dynamic => dynamic::run(&setting),
         Suite::Bake => bake::run(&setting),
+        Suite::Records => records::run(&setting),
     };
     match report.write(&arguments.out) {
         Ok(()) => {

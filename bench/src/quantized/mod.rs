@@ -25,14 +25,14 @@ mod collisions;
 mod consistent;
 mod cost;
 mod curves;
-mod figure;
+pub mod figure;
 mod measured;
-mod plot;
-mod quality;
+pub mod plot;
+pub mod quality;
 mod reduction;
 mod shadow_maps;
-mod shot;
-mod subject;
+pub mod shot;
+pub mod subject;
 mod sweeps;
 mod unbiased;
 mod walkthrough;
@@ -161,7 +161,7 @@ pub fn run(setting: &Setting) -> Report {
 }
 
 /// Three significant digits or so.
-fn fixed(value: f64) -> String {
+pub fn fixed(value: f64) -> String {
     if !value.is_finite() {
         "-".to_owned()
     } else if value.abs() < 9.95 {
@@ -184,7 +184,7 @@ fn short(value: f64) -> String {
     format!("{}{unit}", fixed(value / scale))
 }
 
-fn percent(share: f64) -> String {
+pub fn percent(share: f64) -> String {
     format!("{} %", fixed(100.0 * share))
 }
 

@@ -6,15 +6,15 @@ use occlude_render::camera::{PixelFilter, View};
 use occlude_render::film::Film;
 use occlude_render::geometry::Geometry;
 use occlude_render::integrator::{
-    InstantRadiosity, Integrator, RenderReport, RenderSettings, World, render,
+    InstantRadiosity, Integrator, RenderReport, RenderSettings, Secondary, Sequence, World, render,
 };
 use occlude_render::job::Job;
 use occlude_render::light::Lights;
 use occlude_render::sampling::SamplerKind;
-use occlude_visibility::Visibility;
 use occlude_visibility::quantized::{
     BoundingSphere, ErrorReach, Guarantee, Pairing, Quantized, QuantizedSettings, Share,
 };
+use occlude_visibility::{Exact, Visibility};
 use std::time::{Duration, Instant};
 
 /// A scene ready to be rendered.
@@ -75,6 +75,51 @@ impl<'a> Stage<'a> {
         self.watch(visibility, task, &mut |_| ())
     }
 
+    /// Paths that records show the way; also gives the records and the seconds that they took to be placed and refined before the first pass.
+    pub fn shoot_secondary(&self, secondary: Secondary, task: &Task) -> (Shot, Secondary, f64) {
+        let world = World {
+            geometry: self.geometry,
+            lights: self.lights,
+        };
+        let view = (self.view)(task.size);
+        let settings = self.settings(task);
+        let mut film = Film::new(view.width(), view.height(), false);
+        let (start, cpu) = (Instant::now(), process_seconds());
+        let mut sequence = Sequence::with_secondary(secondary);
+        let report = sequence.render(
+            &world,
+            &view,
+            &Exact,
+            &settings,
+            &mut film,
+            &Job::new(),
+            &mut |_| (),
+        );
+        let shot = Shot {
+            seconds: start.elapsed().as_secs_f64(),
+            cpu_seconds: process_seconds() - cpu,
+            picture: picture(&film),
+            report,
+        };
+        let secondary = sequence.secondary.expect("given above");
+        let made = secondary.report().records;
+        let seconds = made.initial.as_secs_f64() + made.steps.total().as_secs_f64();
+        (shot, secondary, seconds)
+    }
+
+    fn settings(&self, task: &Task) -> RenderSettings {
+        RenderSettings {
+            integrator: task.integrator,
+            sampler: SamplerKind::default(),
+            filter: PixelFilter::Box,
+            seed: task.seed,
+            samples: 0..task.samples,
+            // Where time is limited, instant radiosity goes sample by sample.
+            time_limit: task.single_passes.then_some(Duration::from_secs(1 << 24)),
+            noise: None,
+        }
+    }
+
     /// The same; `at_rest` sees the film after every pass.
     pub fn watch<V: Visibility<Geometry<'a>>>(
         &self,
@@ -87,16 +132,7 @@ impl<'a> Stage<'a> {
             lights: self.lights,
         };
         let view = (self.view)(task.size);
-        let settings = RenderSettings {
-            integrator: task.integrator,
-            sampler: SamplerKind::default(),
-            filter: PixelFilter::Box,
-            seed: task.seed,
-            samples: 0..task.samples,
-            // Where time is limited, instant radiosity goes sample by sample.
-            time_limit: task.single_passes.then_some(Duration::from_secs(1 << 24)),
-            noise: None,
-        };
+        let settings = self.settings(task);
         let mut film = Film::new(view.width(), view.height(), false);
         let (start, cpu) = (Instant::now(), process_seconds());
         let report = render(

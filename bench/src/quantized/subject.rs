@@ -48,7 +48,8 @@ pub struct Subject {
     pub quick: (&'static [&'static str], u32),
 }
 
-const fn subject(
+/// A subject with the usual choices.
+pub const fn subject(
     name: &'static str,
     source: Source,
     bars: [Option<f64>; 2],

@@ -128,6 +128,9 @@ pub struct Work {
     /// Fields of visibility: what they took.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub field: Option<Field>,
+    /// Visibility records.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub records: Option<Records>,
 }
 
 /// What fields of visibility took for one picture.
@@ -293,6 +296,31 @@ impl Bake {
                 .collect(),
         }
     }
+}
+
+/// Visibility records, and what they cost.
+#[derive(Debug, Clone, Copy, Default, Serialize)]
+pub struct Records {
+    /// Records at the end.
+    pub count: u32,
+    /// Records at most.
+    pub capacity: u32,
+    /// The most bytes that they held.
+    pub bytes: u64,
+    /// Refinement steps that moved or added a record.
+    pub refinements: u64,
+    /// Of a step, in the mean.
+    pub milliseconds_per_refinement: f64,
+    /// Of placing and filling the first records.
+    pub initial_seconds: f64,
+    /// Records traced again because something moved in front of them.
+    pub refilled: u64,
+    /// `--secondary`: rays that records were asked about.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rays_asked: Option<u64>,
+    /// Those among them that were traced after all.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rays_traced: Option<u64>,
 }
 
 /// One picture of a sequence.

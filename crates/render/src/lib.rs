@@ -8,4 +8,5 @@ pub mod integrator;
 pub mod job;
 pub mod light;
 pub mod sampling;
+pub mod views;
 pub mod work;

@@ -12,6 +12,7 @@
 //! | [`Exact`] | exact | trace every question |
 //! | [`Occluder`] | exact | test the last blocker first |
 //! | [`Quantized`](quantized::Quantized) | bounded, unbiased or consistent | one ray for each pair of patches |
+//! | [`Records`](records::Records) | biased or unbiased | distance maps near the lights answer |
 //! | [`TwoPart`](two_part::TwoPart) | as `Quantized` | remembers what stands still, traces what moves |
 //!
 //! Answers are `f32` estimates, not booleans: weighted averages lie in `[0, 1]`, unbiased estimators may leave it.
@@ -51,6 +52,7 @@ mod occluder;
 pub mod order;
 pub mod quantized;
 mod query;
+pub mod records;
 mod session;
 mod stats;
 mod tracer;

@@ -1,6 +1,8 @@
 //! Visibility questions and the strategies that answer them.
 
 use crate::many::bits;
+use crate::records::{Records, Scout};
+use crate::two_part::Ball;
 use crate::{BLOCK, Correction, EyeSample, ManyLights, Ray, SharedLight, Tracer, VisibilityStats};
 use glam::Vec3;
 
@@ -213,6 +215,23 @@ pub trait Visibility<T: Tracer>: Sync {
         }
     }
 
+    /// Called before the first question of a picture: `lights` will be asked about by many eyes (perhaps none), and `scout` finds places
+    /// along camera paths. Does nothing by default.
+    fn prepare(&self, tracer: &T, lights: &[SharedLight], scout: &mut dyn Scout) {
+        let _ = (tracer, lights, scout);
+    }
+
+    /// Called between passes, while nobody asks: a strategy that learns may change here what it knows. Does nothing by default.
+    fn pass_done(&self, tracer: &T) {
+        let _ = tracer;
+    }
+
+    /// Tells the strategy that something has moved since the last picture: it was in the balls `before`, is now in the balls `now`, and
+    /// `tracer` is about the present. For strategies that keep what has not changed. Does nothing by default.
+    fn moved(&self, tracer: &T, before: &[Ball], now: &[Ball]) {
+        let _ = (tracer, before, now);
+    }
+
     /// Tells the strategy that a picture of a sequence is done, and that the next questions belong to another one. What it
     /// remembers stays valid: the tracer's geometry stands still. Workers of the last picture are done for. Does nothing by default.
     fn next_picture(&mut self) {}
@@ -226,5 +245,10 @@ pub trait Visibility<T: Tracer>: Sync {
     /// The most bytes that the strategy's memory has held at one time, all workers together.
     fn bytes(&self) -> u64 {
         0
+    }
+
+    /// The strategy itself, if it is the one that keeps [records](crate::records).
+    fn records(&self) -> Option<&Records> {
+        None
     }
 }

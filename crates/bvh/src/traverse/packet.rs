@@ -6,13 +6,14 @@
 //! itself, as the single rays do: rays that diverge cost little more than those.
 //!
 //! Fuetterling, Lojewski, Pfreundt, Ebert 2015, "Efficient ray tracing kernels for modern CPU architectures", trace larger
-//! streams in this way. For closest hits the children are visited by where the first ray of the set enters them: the wrong tool where
+//! streams in this way. For closest hits the children are visited by where the first ray of the set enters
+//! them, and rays that start at one point (a *fan*) test most nodes with the interval of their directions, once for all: the wrong tool where
 //! rays do not run alike, and each wants an order of its own.
 
-use super::{Edges, Found, Isa, Query, Scope, Slabs, entry, is_valid, keep, walk};
+use super::{Edges, Found, Isa, Query, Reciprocal, Scope, Slabs, entry, is_valid, keep, walk};
 use crate::accel::Accel;
 use crate::filter::HitFilter;
-use crate::node::{Child, NO_TRIANGLE, STACK, WIDTH};
+use crate::node::{Child, NO_TRIANGLE, Node, STACK, WIDTH};
 use occlude_visibility::{Hit, Ray};
 use std::mem::MaybeUninit;
 
@@ -270,6 +271,74 @@ pub(super) unsafe fn nearest_packet<
     }
 }
 
+/// Rays from one point into one octant, taken together: what they meet lies within their hull.
+struct Fan {
+    origin: [f32; 3],
+    /// Least and largest reciprocal of the directions, by axis: to enter by, and to leave by.
+    near: [[f32; 2]; 3],
+    far: [[f32; 2]; 3],
+    negative: [bool; 3],
+    t_min: f32,
+}
+
+impl Fan {
+    /// `None` if the rays do not start at one point, or run into several octants.
+    #[inline(always)]
+    fn around(rays: &[Ray], valid: u32) -> Option<Self> {
+        let mut some = (0..rays.len()).filter(|k| valid >> k & 1 != 0);
+        let first = &rays[some.next()?];
+        let reciprocal = Reciprocal::new(first);
+        let mut fan = Self {
+            origin: first.origin.to_array(),
+            near: reciprocal.near.map(|x| [x, x]),
+            far: reciprocal.far.map(|x| [x, x]),
+            negative: reciprocal.negative,
+            t_min: reciprocal.t_min,
+        };
+        for k in some {
+            let ray = &rays[k];
+            let reciprocal = Reciprocal::new(ray);
+            if ray.origin != first.origin || reciprocal.negative != fan.negative {
+                return None;
+            }
+            for axis in 0..3 {
+                let (near, far) = (reciprocal.near[axis], reciprocal.far[axis]);
+                fan.near[axis] = [fan.near[axis][0].min(near), fan.near[axis][1].max(near)];
+                fan.far[axis] = [fan.far[axis][0].min(far), fan.far[axis][1].max(far)];
+            }
+            fan.t_min = fan.t_min.min(reciprocal.t_min);
+        }
+        // Products with an infinite reciprocal may be unknown; such rays go one by one.
+        let finite = |x: &[[f32; 2]; 3]| x.iter().flatten().all(|x| x.is_finite());
+        (finite(&fan.near) && finite(&fan.far)).then_some(fan)
+    }
+
+    /// Children that some ray may meet before `t_max`, as bits, and where the first may enter them.
+    #[inline(always)]
+    fn test(&self, node: &Node, t_max: f32) -> (u32, [f32; WIDTH]) {
+        let min = |a: f32, b: f32| if a < b { a } else { b };
+        let max = |a: f32, b: f32| if a > b { a } else { b };
+        let mut enter = [self.t_min; WIDTH];
+        let mut leave = [t_max; WIDTH];
+        for axis in 0..3 {
+            let side = usize::from(self.negative[axis]);
+            let (first, last) = (&node.planes[axis][side], &node.planes[axis][1 - side]);
+            let ([n0, n1], [f0, f1]) = (self.near[axis], self.far[axis]);
+            for lane in 0..WIDTH {
+                let to_enter = first[lane] - self.origin[axis];
+                let to_leave = last[lane] - self.origin[axis];
+                enter[lane] = max(min(to_enter * n0, to_enter * n1), enter[lane]);
+                leave[lane] = min(max(to_leave * f0, to_leave * f1), leave[lane]);
+            }
+        }
+        let mut mask = 0;
+        for lane in 0..WIDTH {
+            mask |= u32::from(enter[lane] <= leave[lane]) << lane;
+        }
+        (mask, enter)
+    }
+}
+
 /// A child that waits, where the first ray enters it (an [`entry`]), and which rays met it.
 #[derive(Clone, Copy)]
 struct Ordered {
@@ -312,6 +381,7 @@ unsafe fn nearest<
             valid |= 1u32 << k;
         }
     }
+    let fan = Fan::around(rays, valid);
     let mut stack = [const { MaybeUninit::<Ordered>::uninit() }; STACK];
     let mut waiting = 0;
     let mut now = Child::node(0);
@@ -341,6 +411,27 @@ unsafe fn nearest<
                 let node = tree.nodes.get_unchecked(now.index());
                 let mut met = 0;
                 let mut distances = [f32::INFINITY; WIDTH];
+                if let Some(fan) = &fan {
+                    let end = ends.iter().fold(f32::NEG_INFINITY, |end, &e| end.max(e));
+                    let (mask, near) = fan.test(node, end);
+                    let mut rest = mask;
+                    let mut leaves = false;
+                    while rest != 0 {
+                        let lane = rest.trailing_zeros() as usize % WIDTH;
+                        rest &= rest - 1;
+                        leaves |= node.children.get_unchecked(lane).is_leaf();
+                    }
+                    if !leaves {
+                        // Nodes alone: which of the rays meet them is found out further down.
+                        distances = near;
+                        let mut rest = mask;
+                        while rest != 0 {
+                            met |= u64::from(left) << (8 * (rest.trailing_zeros() % 8));
+                            rest &= rest - 1;
+                        }
+                        left = 0;
+                    }
+                }
                 while left != 0 {
                     let k = take(&mut left);
                     let (mask, near) = slabs[k].assume_init_ref().test(node, ends[k]);

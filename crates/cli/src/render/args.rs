@@ -1,6 +1,7 @@
 //! Options of `occlude render`, and what must hold before any work.
 
 use super::field::FieldArgs;
+use super::records::{self, RecordsOptions};
 use super::strategy::{self, GuaranteeName, Strategy};
 use crate::error::CliError;
 use crate::output;
@@ -69,6 +70,11 @@ pub struct RenderArgs {
     /// Not built in yet: refused
     #[arg(long, help_heading = "Output")]
     pub denoise: bool,
+
+    /// Also write what visibility records look like: PREFIX-importance.png, -utility, -correlation and -positions. Of frames, #### in
+    /// the prefix becomes the number
+    #[arg(long, value_name = "PREFIX", help_heading = "Output")]
+    pub record_views: Option<PathBuf>,
 
     /// Width and height in pixels; the vertical field of view is kept
     #[arg(
@@ -141,13 +147,23 @@ pub struct RenderArgs {
     /// error-point, error-direction, error-area, error-sky by kind of light), refine=auto|off|LEVELS, share=tile|thread|all|frames
     /// (tile: the same bytes at any number of threads; frames: those, too, and frames know what earlier ones have learnt), table=SIZE, normals, slab, resolution-step,
     /// digest=separable|lcg|lcg-xorshift. Saves time where all pixels ask about the same lights (instant-radiosity); with other integrators
-    /// it saves rays, and seldom time
+    /// it saves rays, and seldom time.
+    /// records[:NAME=VALUE,...] (with --integrator instant-radiosity): distance maps near the virtual lights answer. Their options: count=4000 (at most; of these, as
+    /// many are placed at first as the work is worth, or initial=N, or all of a count that is given), resolution=128, alpha=0.5 (0: records go where visibility changes, 1: where they are used), steps=auto|N (of refinement before the first
+    /// pass), pace=1 (after each), frame-steps=32 (before each further frame), select=nearest|probable, lookup=snap|march,
+    /// near=auto|off|on|LENGTH (auto: questions shorter than records are apart are traced;
+    /// on, LENGTH: and short rays at both ends, in units of what a record is uncertain by)
     #[arg(long, value_name = "STRATEGY", value_parser = strategy::strategy, default_value = "exact", help_heading = "Work")]
     pub visibility: Strategy,
 
-    /// What quantized visibility promises
+    /// What quantized visibility promises; records know unbiased alone
     #[arg(long, value_enum, help_heading = "Work")]
     pub guarantee: Option<GuaranteeName>,
+
+    /// With --integrator path: records[:NAME=VALUE,...] find where paths go on instead of rays, from=1|2 (the first or the second scattering
+    /// event) on; further options as for --visibility records (a preview: surfaces in the records are matt, errors are as large as texels)
+    #[arg(long, value_name = "ANSWER", value_parser = records::secondary, help_heading = "Work")]
+    pub secondary: Option<RecordsOptions>,
 
     /// Samples a pixel [default: 64, or unlimited with --time-limit or --noise]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_SAMPLES)), allow_negative_numbers = true, help_heading = "Work")]
@@ -312,13 +328,7 @@ impl RenderArgs {
                 ));
             }
         }
-        if self.guarantee.is_some() && !matches!(self.visibility, Strategy::Quantized(_)) {
-            return Err(CliError::input(
-                "nothing to guarantee",
-                "--guarantee",
-                "it belongs to --visibility quantized",
-            ));
-        }
+        self.check_visibility()?;
         if self.shard.is_some() {
             let frames = self.is_sequence();
             if !frames && (self.time_limit.is_some() || self.noise.is_some()) {
@@ -328,7 +338,7 @@ impl RenderArgs {
                     "use --samples without --time-limit and --noise",
                 ));
             }
-            if matches!(self.visibility, Strategy::Quantized(_)) {
+            if self.remembers() || self.secondary.is_some() {
                 return Err(CliError::input(
                     "parts would not add up to the picture of one machine: remembered answers depend on what was asked before",
                     "--shard",
@@ -354,6 +364,74 @@ impl RenderArgs {
         outputs.push(&checkpoint);
         output::check(&checkpoint)?;
         output::check_distinct(&outputs, &inputs)
+    }
+
+    /// Refuses strategies and promises that do not go together.
+    fn check_visibility(&self) -> Result<(), CliError> {
+        let records = matches!(self.visibility, Strategy::Records(_));
+        if records && self.integrator != Integrator::InstantRadiosity {
+            return Err(CliError::input(
+                "records answer for virtual lights, and there are none",
+                "--visibility records",
+                "add --integrator instant-radiosity, or use --secondary records with --integrator path",
+            ));
+        }
+        if self.secondary.is_some() && self.integrator != Integrator::Path {
+            return Err(CliError::input(
+                "nothing to answer",
+                "--secondary",
+                "it belongs to --integrator path",
+            ));
+        }
+        if self.record_views.is_some() && !records && self.secondary.is_none() {
+            return Err(CliError::input(
+                "no records to look at",
+                "--record-views",
+                "add --visibility records or --secondary records",
+            ));
+        }
+        let Some(guarantee) = self.guarantee else {
+            return Ok(());
+        };
+        if self.secondary.is_some() && guarantee != GuaranteeName::Bounded {
+            return Err(CliError::input(
+                "what a ray meets cannot be guessed and corrected: a record's answer to a ray question is biased",
+                "--guarantee with --secondary",
+                "leave one of them out",
+            ));
+        }
+        match self.visibility {
+            Strategy::Quantized(_) => Ok(()),
+            Strategy::Records(_) if guarantee == GuaranteeName::Unbiased => Ok(()),
+            Strategy::Records(_) => Err(CliError::input(
+                "records know no bound of their errors",
+                "--guarantee",
+                "use unbiased, or leave it out",
+            )),
+            _ => Err(CliError::input(
+                "nothing to guarantee",
+                "--guarantee",
+                "it belongs to --visibility quantized or records",
+            )),
+        }
+    }
+
+    /// How much is rendered, in so many pictures.
+    pub fn extent(&self, pictures: u32) -> records::Extent {
+        records::Extent {
+            size: [self.size.width, self.size.height],
+            samples: self.known_samples(),
+            pictures,
+            vpls: self.vpls,
+        }
+    }
+
+    /// Whether answers depend on what was asked before.
+    pub fn remembers(&self) -> bool {
+        matches!(
+            self.visibility,
+            Strategy::Quantized(_) | Strategy::Records(_)
+        )
     }
 
     /// Several pictures, or one that has a frame's number.

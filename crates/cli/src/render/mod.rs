@@ -6,6 +6,7 @@ mod baked;
 mod camera_path;
 mod field;
 mod film;
+mod records;
 mod sequence;
 mod setup;
 mod strategy;
@@ -33,6 +34,7 @@ use occlude_render::sampling::SamplerKind;
 use occlude_render::work::{Work, shard_samples};
 use occlude_scene::{LightKind, Pose, Scene};
 use occlude_visibility::quantized::{BoundingSphere, Quantized, Share};
+use occlude_visibility::records::{Records, RecordsReport};
 use occlude_visibility::{Class, Exact, Occluder, Visibility};
 use setup::{build, load, view};
 use std::path::Path;
@@ -71,6 +73,11 @@ pub fn run(mut args: RenderArgs, context: &mut Context) -> Result<(), CliError> 
         Strategy::Quantized(options) => {
             let quantized = quantized(&args, options, false, context, &scene, &pose)?;
             work(&args, context, &world, &view, sky.as_ref(), &quantized)
+        }
+        Strategy::Records(options) => {
+            let extent = args.extent(1);
+            let records = options.strategy(args.guarantee, context, &scene, &pose, &extent)?;
+            work(&args, context, &world, &view, sky.as_ref(), &records)
         }
         Strategy::Exact => work(&args, context, &world, &view, sky.as_ref(), &Exact),
         Strategy::Occluder => work(
@@ -210,6 +217,10 @@ fn work<'a, V: Visibility<Geometry<'a>>>(
     let save = |film: &Film| output::write(&checkpoint, |mut out| part.write(film, &mut out));
     let mut saved = Instant::now();
     let mut sequence = Sequence::default();
+    if let Some(options) = &args.secondary {
+        let (scene, pose) = (world.geometry.scene, world.geometry.pose);
+        sequence.secondary = Some(options.secondary(context, scene, pose, &args.extent(1))?);
+    }
     if args.integrator == Integrator::Field {
         sequence.set_sky(
             args.field
@@ -240,7 +251,19 @@ fn work<'a, V: Visibility<Geometry<'a>>>(
         Some(field) => (("field", Class::Biased), field.bytes),
         None => ((visibility.name(), visibility.class()), visibility.bytes()),
     };
-    context.stats.work = Some(work_stats(done, &report, strategy, bytes));
+    let records = visibility.records().map(|records| records.cache().report());
+    let stats = work_stats(done, &report, strategy, bytes, records, &sequence);
+    warn_of_no_records(context, &stats);
+    context.stats.work = Some(stats);
+    if let Some(prefix) = &args.record_views {
+        write_views(
+            prefix,
+            visibility.records(),
+            &sequence,
+            world.geometry,
+            view,
+        )?;
+    }
     if film.dropped() > 0 {
         context.warn(format_args!(
             "{} samples were not finite and count as black: please report the scene",
@@ -285,8 +308,19 @@ fn work_stats(
     report: &RenderReport,
     (strategy, class): (&str, Class),
     bytes: u64,
+    records: Option<RecordsReport>,
+    sequence: &Sequence,
 ) -> stats::Work {
     let visibility = report.visibility.clone();
+    let secondary = (sequence.secondary.as_ref()).map(|secondary| secondary.report().records);
+    let class = if secondary.is_some() {
+        Class::Biased
+    } else {
+        class
+    };
+    let fills = [records, secondary];
+    let fill: u64 = fills.iter().flatten().map(|report| report.fill_rays).sum();
+    let rays = secondary.map(|_| report.secondary);
     let virtual_lights = report.instant_radiosity;
     stats::Work {
         samples_per_pixel,
@@ -295,7 +329,7 @@ fn work_stats(
             primary: report.rays.primary,
             secondary: report.rays.secondary,
             shadow: visibility.traced,
-            fill: visibility.fill,
+            fill: visibility.fill + fill,
         },
         field: report.field.map(|field| stats::Field::of(&field)),
         visibility: stats::Visibility {
@@ -306,11 +340,37 @@ fn work_stats(
             traced: visibility.traced,
             refined: visibility.refined,
             overwritten: visibility.overwritten,
-            bytes,
+            bytes: bytes.max(secondary.map_or(0, |report| report.peak_bytes)),
         },
+        records: (secondary.or(records)).map(|report| records::statistics(&report, rays)),
         vpls: virtual_lights.map(|ir| ir.vpls),
         clamp: (virtual_lights.map(|ir| ir.clamp)).filter(|clamp| clamp.is_finite()),
         clamped_energy: virtual_lights.map(|ir| ir.clamped_energy),
+    }
+}
+
+/// See [`records::write_views`].
+fn write_views(
+    prefix: &Path,
+    records: Option<&Records>,
+    sequence: &Sequence,
+    geometry: &Geometry,
+    view: &View,
+) -> Result<(), CliError> {
+    let own = (sequence.secondary.as_ref()).and_then(|secondary| secondary.cache());
+    let shared = records.map(Records::cache);
+    match own.or(shared.as_deref()) {
+        Some(cache) => records::write_views(prefix, cache, geometry, view),
+        None => Ok(()),
+    }
+}
+
+/// A camera that sees nothing leaves records without a place.
+fn warn_of_no_records(context: &mut Context, stats: &stats::Work) {
+    if stats.records.is_some_and(|records| records.count == 0) {
+        context.warn(format_args!(
+            "no place for records: no path from the camera meets a rough surface, so everything was traced"
+        ));
     }
 }
 

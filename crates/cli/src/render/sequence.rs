@@ -8,7 +8,8 @@ use super::camera_path::CameraPath;
 use super::setup::{self, load, view};
 use super::strategy::Strategy;
 use super::{
-    RenderArgs, check_light, check_memory, fingerprint, finish, quantized, settings, work_stats,
+    RenderArgs, check_light, check_memory, fingerprint, finish, quantized, settings,
+    warn_of_no_records, work_stats, write_views,
 };
 use crate::context::Context;
 use crate::error::CliError;
@@ -23,7 +24,7 @@ use occlude_render::integrator::{RenderReport, RenderSettings, Sequence, Stopped
 use occlude_render::light::Lights;
 use occlude_render::work::shard_samples;
 use occlude_scene::{Instance, Pose, Scene, moving_instances};
-use occlude_visibility::two_part::TwoPart;
+use occlude_visibility::two_part::{Ball, TwoPart, TwoPartTracer};
 use occlude_visibility::{Exact, Occluder, Visibility};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -107,7 +108,7 @@ pub fn run(mut args: RenderArgs, context: &mut Context) -> Result<Done, CliError
         path,
         frames: part.map(|index| all.first + index).collect(),
         settings,
-        apart: matches!(args.visibility, Strategy::Quantized(_)) && moving.contains(&true),
+        apart: (args.remembers() || args.secondary.is_some()) && moving.contains(&true),
         lights_move: lights_move(args, scene, &moving),
         moving,
     };
@@ -128,6 +129,11 @@ pub fn run(mut args: RenderArgs, context: &mut Context) -> Result<Done, CliError
             } else {
                 plan.render(context, first, cache)
             }
+        }
+        Strategy::Records(options) => {
+            let extent = args.extent(all.count());
+            let records = options.strategy(args.guarantee, context, scene, &first, &extent)?;
+            plan.render(context, first, records)
         }
         Strategy::Exact => plan.render(context, first, Exact),
         Strategy::Occluder => plan.render(context, first, Occluder::default()),
@@ -235,9 +241,15 @@ impl Plan<'_> {
         let checkpoint = args.checkpoint_path();
         let mut done = self.done(&checkpoint)?;
         let done_at_start = done.clone();
-        let remembers = matches!(args.visibility, Strategy::Quantized(_));
+        let remembers = args.remembers();
         let renewal = args.renew_vpls.unwrap_or(Renewal(remembers.then_some(1)));
         let mut sequence = renewal.0.map_or_else(Sequence::default, Sequence::renewing);
+        if let Some(options) = &args.secondary {
+            let extent = args.extent(self.frames.len() as u32);
+            sequence.secondary = Some(options.secondary(context, self.scene, &pose, &extent)?);
+        }
+        // Where what moves was in the picture before.
+        let mut before: Vec<Ball> = Vec::new();
         let options = BuildOptions::default();
         let still = context.phase("build", |_| {
             let nothing = vec![false; self.moving.len()];
@@ -304,6 +316,13 @@ impl Plan<'_> {
             let Some(lights) = &lights else {
                 continue;
             };
+            if geometry_moved {
+                visibility.moved(&geometry, &before, geometry.moving());
+                if let Some(secondary) = &mut sequence.secondary {
+                    secondary.moved(&geometry, &before);
+                }
+            }
+            before = geometry.moving().to_vec();
             check_light(args, self.scene, lights)?;
             counts.lights = lights.len() as u64;
             context.stats.scene_counts = Some(counts);
@@ -341,6 +360,11 @@ impl Plan<'_> {
                 continue;
             }
             context.phase("write", |_| finish.write(&film, &names))?;
+            if let Some(prefix) = &args.record_views {
+                let records = Visibility::<Geometry>::records(&visibility);
+                let prefix = name(prefix, frame);
+                write_views(&prefix, records, &sequence, &geometry, &view)?;
+            }
             done.insert(frame);
             self.save(&checkpoint, &done)?;
             context.stats.frames.push(stats::Frame {
@@ -368,12 +392,19 @@ impl Plan<'_> {
             let bytes = Visibility::<Geometry>::bytes(&visibility);
             let strategy = Visibility::<Geometry>::name(&visibility);
             let class = Visibility::<Geometry>::class(&visibility);
-            context.stats.work = Some(work_stats(
-                total.samples,
-                &total.report,
+            let records = Visibility::<Geometry>::records(&visibility)
+                .map(|records| records.cache().report());
+            let (samples, report) = (total.samples, &total.report);
+            let stats = work_stats(
+                samples,
+                report,
                 (strategy, class),
                 bytes,
-            ));
+                records,
+                &sequence,
+            );
+            warn_of_no_records(context, &stats);
+            context.stats.work = Some(stats);
             if total.dropped > 0 {
                 context.warn(format_args!(
                     "{} samples were not finite and count as black: please report the scene",
@@ -469,6 +500,8 @@ impl Total {
         if let Some(before) = &total {
             sum.rays.primary += before.report.rays.primary;
             sum.rays.secondary += before.report.rays.secondary;
+            sum.secondary.asked += before.report.secondary.asked;
+            sum.secondary.traced += before.report.secondary.traced;
             sum.visibility.add(&before.report.visibility);
         }
         Self {

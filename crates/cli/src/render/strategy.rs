@@ -1,5 +1,6 @@
 //! `--visibility` and `--guarantee`: how visibility questions are answered.
 
+use super::records::RecordsOptions;
 use crate::values;
 use clap::ValueEnum;
 use occlude_visibility::quantized::{
@@ -15,6 +16,8 @@ pub enum Strategy {
     Occluder,
     /// One ray for each pair of patches.
     Quantized(QuantizedOptions),
+    /// Distance maps near virtual lights.
+    Records(RecordsOptions),
 }
 
 /// What a user has said about quantized visibility; the rest depends on the integrator.
@@ -69,9 +72,10 @@ pub fn strategy(text: &str) -> Result<Strategy, String> {
         ("exact", "") => Ok(Strategy::Exact),
         ("occluder", "") => Ok(Strategy::Occluder),
         ("quantized", options) => QuantizedOptions::parse(options).map(Strategy::Quantized),
+        ("records", options) => RecordsOptions::parse(options, false).map(Strategy::Records),
         ("exact" | "occluder", _) => Err(format!("{name} takes no options")),
         _ => Err(format!(
-            "no strategy {name:?}: there are exact, occluder and quantized"
+            "no strategy {name:?}: there are exact, occluder, quantized and records"
         )),
     }
 }

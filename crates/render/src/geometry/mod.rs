@@ -3,6 +3,7 @@
 mod alpha;
 mod place;
 mod prefetch;
+mod records;
 mod shaft;
 mod surface;
 mod tracer;
@@ -10,6 +11,7 @@ mod triangle;
 
 pub use alpha::{covers, diffuse_albedo, front_emission, is_filtered};
 pub(crate) use place::{Place, Spot};
+pub(crate) use records::site_of;
 pub(crate) use shaft::{Span, Towards};
 pub use surface::Surface;
 pub(crate) use tracer::is_pane;

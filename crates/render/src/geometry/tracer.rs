@@ -314,6 +314,23 @@ impl<'a> Geometry<'a> {
         }
     }
 
+    /// The nearest blocker along each ray, panes left out; neighbours run alike.
+    pub(super) fn closest_blockers(&self, rays: &[Ray], hits: &mut [Option<Hit>]) {
+        let filter = self.filter();
+        self.still.blockers.closest_coherent(rays, hits, &filter);
+        if let Some(moving) = &self.moving {
+            for (ray, hit) in rays.iter().zip(hits) {
+                let before = Ray {
+                    t_max: hit.map_or(ray.t_max, |hit| hit.t),
+                    ..*ray
+                };
+                if let Some(near) = moving.part.blockers.closest(&before, &filter) {
+                    *hit = Some(near);
+                }
+            }
+        }
+    }
+
     /// Whether some panes tint shadow rays.
     pub fn has_panes(&self) -> bool {
         self.panes().next().is_some()

@@ -10,11 +10,14 @@
 mod ambient_occlusion;
 mod bidirectional;
 mod field;
+mod image_space;
 mod instant_radiosity;
 mod path;
+mod scout;
 
 pub use bidirectional::{BidirectionalLimits, Techniques};
 pub use field::{Field, FieldReport};
+pub use image_space::{ImageSpaceReport, Secondary, SecondaryRays};
 pub use instant_radiosity::{InstantRadiosity, InstantRadiosityReport};
 
 use crate::camera::{PixelFilter, View};
@@ -149,6 +152,8 @@ pub struct RenderReport {
     pub instant_radiosity: Option<InstantRadiosityReport>,
     /// Of [`Integrator::Field`].
     pub field: Option<FieldReport>,
+    /// Rays that records were asked about, see [`Sequence::secondary`].
+    pub secondary: SecondaryRays,
 }
 
 /// Scratch space and counters of one worker.
@@ -157,6 +162,7 @@ struct Worker<'a, W> {
     path: path::Scratch,
     bidirectional: bidirectional::Scratch<'a>,
     instant_radiosity: instant_radiosity::Scratch,
+    image_space: image_space::Scratch,
     rays: RayCounts,
 }
 
@@ -228,12 +234,14 @@ pub fn render<'a, V: Visibility<Geometry<'a>>>(
 /// Pictures one after the other, and what of the work for one serves the next.
 ///
 /// By default that is nothing: each picture is the one that [`render`] makes.
-#[derive(Clone, Debug, Default)]
+#[derive(Debug, Default)]
 pub struct Sequence {
     /// Blocks of 16 virtual lights that are drawn anew from picture to picture; `None`: all.
     renew: Option<u32>,
     virtual_lights: Option<instant_radiosity::Pool>,
     fields: field::Fields,
+    /// Records that find where the paths of [`Integrator::Path`] go on; `None`: rays do. They stay from picture to picture.
+    pub secondary: Option<Secondary>,
 }
 
 impl Sequence {
@@ -247,6 +255,14 @@ impl Sequence {
     pub fn renewing(blocks: u32) -> Self {
         Self {
             renew: Some(blocks),
+            ..Self::default()
+        }
+    }
+
+    /// A sequence whose paths `secondary` shows the way.
+    pub fn with_secondary(secondary: Secondary) -> Self {
+        Self {
+            secondary: Some(secondary),
             ..Self::default()
         }
     }
@@ -303,6 +319,14 @@ impl Sequence {
             )),
             _ => None,
         };
+        let mut scout = scout::CameraPaths::new(world, view, settings);
+        let lights = prepared
+            .as_ref()
+            .map_or(&[][..], |prepared| prepared.virtual_lights());
+        visibility.prepare(world.geometry, lights, &mut scout);
+        if let Some(secondary) = &mut self.secondary {
+            secondary.prepare(world.geometry, &mut scout);
+        }
         let mut stopped_by = StoppedBy::Samples;
         let mut round_end = 0;
         let mut first_round = true;
@@ -314,6 +338,7 @@ impl Sequence {
             }
             .min(target);
             let units = units_until(film, round_end, layout.tile);
+            let secondary = self.secondary.as_ref();
             let shared_film = Mutex::new(&mut *film);
             let stop = |first_round: bool| {
                 job.is_cancelled()
@@ -328,6 +353,7 @@ impl Sequence {
                     path: path::Scratch::default(),
                     bidirectional: bidirectional::Scratch::default(),
                     instant_radiosity: instant_radiosity::Scratch::default(),
+                    image_space: image_space::Scratch::default(),
                     rays: RayCounts::default(),
                 });
                 let before = worker.rays.primary
@@ -342,6 +368,7 @@ impl Sequence {
                             visibility,
                             settings,
                             limits,
+                            secondary,
                             &unit,
                             &mut worker,
                             &mut tile,
@@ -409,6 +436,10 @@ impl Sequence {
                 break;
             }
             at_rest(film);
+            visibility.pass_done(world.geometry);
+            if let Some(secondary) = &mut self.secondary {
+                secondary.pass_done(world.geometry);
+            }
             first_round = false;
             if stop(false) && round_end < target {
                 stopped_by = StoppedBy::Time;
@@ -430,10 +461,14 @@ impl Sequence {
             secondary: prepared.as_ref().map_or(0, |prepared| prepared.rays),
         };
         let mut stats = VisibilityStats::default();
+        let mut asked = SecondaryRays::default();
         for worker in workers.into_inner().unwrap_or_else(PoisonError::into_inner) {
             rays.primary += worker.rays.primary;
             rays.secondary += worker.rays.secondary;
             stats.add(&visibility.stats(&worker.visibility));
+            stats.add(&worker.image_space.stats());
+            asked.asked += worker.image_space.counts.asked;
+            asked.traced += worker.image_space.counts.traced;
         }
         RenderReport {
             stopped_by,
@@ -441,6 +476,7 @@ impl Sequence {
             visibility: stats,
             instant_radiosity: prepared.map(|prepared| prepared.report()),
             field: None,
+            secondary: asked,
         }
     }
 }

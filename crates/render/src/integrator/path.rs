@@ -6,6 +6,7 @@
 //!
 //! The wrong tool where light comes only through small holes or by way of caustics: such paths are found by chance alone.
 
+use super::image_space::{self, Secondary};
 use super::{PathLimits, RenderSettings, Unit, Worker, World};
 use crate::bsdf::Bsdf;
 use crate::camera::View;
@@ -27,24 +28,28 @@ pub(super) const ROULETTE_AFTER: u32 = 2;
 const REGULARIZED_ROUGHNESS: f32 = 0.5;
 
 /// Dimension sets that one segment of a path uses.
-const SETS_PER_SEGMENT: u32 = 2;
+pub(super) const SETS_PER_SEGMENT: u32 = 2;
 
 /// A path on its way.
 #[derive(Clone, Debug)]
-struct Path {
-    ray: Ray,
-    throughput: Vec3,
-    radiance: Vec3,
-    sampler: Sampler,
+pub(super) struct Path {
+    pub(super) ray: Ray,
+    pub(super) throughput: Vec3,
+    pub(super) radiance: Vec3,
+    pub(super) sampler: Sampler,
     x: u32,
     y: u32,
     /// Scattering events so far.
-    depth: u32,
+    pub(super) depth: u32,
     /// Panes passed so far.
-    panes: u32,
+    pub(super) panes: u32,
     /// The last scattering event, for weighing what its direction finds against light sampling. `None` at the camera and
     /// after mirrors, which light sampling cannot find.
-    last: Option<Scattering>,
+    pub(super) last: Option<Scattering>,
+    /// Records are to say where the ray goes, from the last scattering event with this normal on the side that the ray leaves.
+    pub(super) leaving: Option<Vec3>,
+    /// Light sampling at the last event has found the surfaces that shine along the ray already, with a weight of 1.
+    pub(super) found: bool,
     /// Density per steradian around the ray (per square metre across it, if `parallel`) of all paths of the picture, one a
     /// pixel: with the way since, the area density of what it hits.
     direction_density: f32,
@@ -56,7 +61,7 @@ struct Path {
     travelled: f32,
     /// Product of the squared ratios of refractive index: what refraction took from `throughput` only to give it back when
     /// the path leaves the body. Roulette looks at the throughput without it.
-    squeezed: f32,
+    pub(super) squeezed: f32,
     /// Some event so far was not a mirror.
     blurred: bool,
     /// Absorption per metre of what the ray is in.
@@ -76,21 +81,23 @@ pub(super) struct Scattering {
 
 /// What a light sample brings, once its visibility is known.
 #[derive(Clone, Copy, Debug)]
-struct Pending {
-    path: u32,
-    contribution: Vec3,
+pub(super) struct Pending {
+    pub(super) path: u32,
+    pub(super) contribution: Vec3,
 }
 
 /// Buffers that a worker keeps from tile to tile.
 #[derive(Debug, Default)]
 pub(super) struct Scratch {
-    paths: Vec<Path>,
-    alive: Vec<u32>,
+    pub(super) paths: Vec<Path>,
+    pub(super) alive: Vec<u32>,
     rays: Vec<Ray>,
     hits: Vec<Option<Hit>>,
-    queries: Vec<Query>,
-    pending: Vec<Pending>,
+    pub(super) queries: Vec<Query>,
+    pub(super) pending: Vec<Pending>,
     answers: Vec<f32>,
+    /// Paths whose next vertex records are to find.
+    pub(super) cached: Vec<u32>,
     /// Paths of the picture, one a pixel.
     pixels: f32,
 }
@@ -102,6 +109,7 @@ pub(super) fn render_unit<'a, V: Visibility<Geometry<'a>>>(
     visibility: &V,
     settings: &RenderSettings,
     limits: PathLimits,
+    secondary: Option<&Secondary>,
     unit: &Unit,
     worker: &mut Worker<V::Worker>,
     tile: &mut FilmTile,
@@ -120,6 +128,8 @@ pub(super) fn render_unit<'a, V: Visibility<Geometry<'a>>>(
             depth: 0,
             panes: 0,
             last: None,
+            leaving: None,
+            found: false,
             direction_density: camera.pixel_density,
             parallel: camera.parallel,
             region: 0.0,
@@ -135,13 +145,20 @@ pub(super) fn render_unit<'a, V: Visibility<Geometry<'a>>>(
     worker.rays.primary += scratch.alive.len() as u64;
 
     let mut first = true;
+    let from = secondary.map(Secondary::from);
+    if let Some(secondary) = secondary {
+        secondary.begin(&mut worker.image_space);
+    }
     visibility.begin(&mut worker.visibility, unit.epoch());
     while !scratch.alive.is_empty() {
         if !first {
             worker.rays.secondary += scratch.alive.len() as u64;
         }
         extend(world.geometry, scratch);
-        shade(world, limits, first, scratch);
+        shade(world, limits, first, from, scratch);
+        if let Some(secondary) = secondary {
+            image_space::advance(world, limits, secondary, scratch, &mut worker.image_space);
+        }
         scratch.answers.clear();
         scratch.answers.resize(scratch.queries.len(), 0.0);
         visibility.answer(
@@ -152,6 +169,9 @@ pub(super) fn render_unit<'a, V: Visibility<Geometry<'a>>>(
         );
         collect(world.geometry, scratch);
         first = false;
+    }
+    if let Some(secondary) = secondary {
+        secondary.end(&mut worker.image_space);
     }
     for path in &scratch.paths {
         tile.add(path.x, path.y, path.radiance, Some(&path.features));
@@ -187,6 +207,8 @@ impl Scratch {
             depth,
             panes: 0,
             last: Some(last),
+            leaving: None,
+            found: false,
             direction_density: last.pdf * self.pixels,
             parallel: false,
             region: 0.0,
@@ -210,7 +232,7 @@ impl Scratch {
         while !self.alive.is_empty() {
             rays += self.alive.len() as u64;
             extend(world.geometry, self);
-            shade(world, limits, false, self);
+            shade(world, limits, false, None, self);
             self.answers.clear();
             self.answers.resize(self.queries.len(), 0.0);
             visibility.answer(world.geometry, worker, &self.queries, &mut self.answers);
@@ -237,15 +259,19 @@ fn extend(geometry: &Geometry, scratch: &mut Scratch) {
 }
 
 /// Shades all hits: adds emission, asks for light, goes on in a new direction or ends the path.
-fn shade(world: &World, limits: PathLimits, first: bool, scratch: &mut Scratch) {
+///
+/// `from`: scattering events after which records find where paths go on.
+fn shade(world: &World, limits: PathLimits, first: bool, from: Option<u32>, scratch: &mut Scratch) {
     scratch.queries.clear();
     scratch.pending.clear();
+    scratch.cached.clear();
     let Scratch {
         paths,
         alive,
         hits,
         queries,
         pending,
+        cached,
         pixels,
         ..
     } = scratch;
@@ -264,6 +290,7 @@ fn shade(world: &World, limits: PathLimits, first: bool, scratch: &mut Scratch) 
                 world,
                 limits,
                 first,
+                from,
                 pixels,
                 path,
                 hit,
@@ -276,7 +303,9 @@ fn shade(world: &World, limits: PathLimits, first: bool, scratch: &mut Scratch) 
                 },
             ),
         };
-        if goes_on {
+        if goes_on && path.leaving.is_some() {
+            cached.push(index);
+        } else if goes_on {
             alive[kept] = index;
             kept += 1;
         }
@@ -331,7 +360,7 @@ pub(super) fn power_heuristic(a: f32, b: f32) -> f32 {
     1.0 / (1.0 + ratio * ratio)
 }
 
-fn add_environment(world: &World, path: &mut Path, first: bool) {
+pub(super) fn add_environment(world: &World, path: &mut Path, first: bool) {
     let direction = path.ray.direction;
     let radiance = world.lights.environment(direction);
     if first {
@@ -364,6 +393,7 @@ fn shade_hit(
     world: &World,
     limits: PathLimits,
     first: bool,
+    from: Option<u32>,
     pixels: f32,
     path: &mut Path,
     hit: Hit,
@@ -379,7 +409,7 @@ fn shade_hit(
     }
 
     let emission = surface.emission(geometry);
-    if emission != Vec3::ZERO {
+    if emission != Vec3::ZERO && (!path.found || surface.material().unlit) {
         let weight = weight_of_hit(world.lights, path.last, hit, surface.position);
         path.radiance += path.throughput * emission * weight;
     }
@@ -429,6 +459,9 @@ fn shade_hit(
         surface.shading_normal()
     };
 
+    // Records may find where the path goes on from here: not along lobes that are narrower than their texels.
+    let by_records =
+        |pdf: f32| from.is_some_and(|from| path.depth + 1 >= from) && pdf <= image_space::SHARPEST;
     if !bsdf.is_delta() && path.depth < limits.max_depth {
         let sample = world.lights.sample(
             geometry.scene,
@@ -442,7 +475,9 @@ fn shade_hit(
             let side = light.wi.dot(surface.normal);
             if bsdf.connects(wi, side > 0.0) {
                 let (f_cos, pdf) = bsdf.eval(wo, wi);
-                let weight = if light.delta {
+                // Records do not know which lamp it is that they see: where they are asked, light sampling finds all lamps.
+                let lamp = light.target.is_some();
+                let weight = if light.delta || lamp && by_records(pdf) {
                     1.0
                 } else {
                     power_heuristic(light.pdf, pdf)
@@ -489,6 +524,10 @@ fn shade_hit(
     }
     // What passes anything but a pane counts as an event, since shadow rays do not pass it.
     let passed = sample.passed && is_pane;
+    if !passed {
+        path.found = !sample.delta && by_records(sample.pdf);
+        path.leaving = path.found.then(|| surface.normal * side.signum());
+    }
     if passed {
         path.panes += 1;
         if path.panes > MOST_PANES {

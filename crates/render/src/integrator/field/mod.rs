@@ -272,6 +272,7 @@ fn finish(
     report: FieldReport,
 ) -> RenderReport {
     RenderReport {
+        secondary: super::SecondaryRays::default(),
         stopped_by,
         rays,
         visibility,

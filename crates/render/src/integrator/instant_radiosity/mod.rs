@@ -139,6 +139,11 @@ impl Prepared {
         prepared
     }
 
+    /// The virtual lights, as visibility strategies know them.
+    pub(super) fn virtual_lights(&self) -> &[SharedLight] {
+        &self.vpls.shared
+    }
+
     fn compensates(&self) -> bool {
         self.settings.compensate && self.clamp.is_finite()
     }

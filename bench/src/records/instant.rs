@@ -1,0 +1,222 @@
+//! Instant radiosity: a map a virtual light, three records a light, exact rays (Figs. 6 and 7).
+
+use super::Plan;
+use super::stage::{Measured, Random, settings, walks};
+use crate::common::{Report, Row, Setting, median, thread_seconds};
+use crate::quantized::figure;
+use crate::quantized::quality::quality;
+use crate::quantized::shot::{Stage, Task, instant_radiosity, interleave};
+use crate::quantized::{fixed, percent};
+use glam::Vec2;
+use occlude_visibility::records::{DistanceTracer, RecordSettings, Records, Scout, Select};
+use occlude_visibility::{
+    Endpoint, EveryLight, Exact, EyeSample, LightEnd, Session, SharedLight, Visibility,
+};
+
+pub fn run(
+    setting: &Setting,
+    plan: &Plan,
+    report: &mut Report,
+    measured: &Measured,
+    stage: &Stage,
+) {
+    costs(setting, plan, report, measured.subject.name, stage);
+    frames(setting, plan, report, measured, stage);
+}
+
+/// Eyes of some tiles, and lights at the vertices of paths.
+fn questions(setting: &Setting, plan: &Plan, stage: &Stage) -> (Vec<EyeSample>, Vec<SharedLight>) {
+    let mut random = Random(9);
+    let view = (stage.view)(plan.size);
+    let tiles = if setting.quick { 2 } else { 8 };
+    let mut rays = Vec::new();
+    for _ in 0..tiles {
+        let corner = Vec2::new(random.unit(), random.unit())
+            * Vec2::new(plan.size[0] as f32 - 32.0, plan.size[1] as f32 - 32.0);
+        for k in 0..1024 {
+            let at = corner + Vec2::new((k % 32) as f32 + 0.5, (k / 32) as f32 + 0.5);
+            rays.push(view.ray(at).ray);
+        }
+    }
+    let mut sites = vec![None; rays.len()];
+    stage.geometry.sites(&rays, &mut sites);
+    let eyes = (sites.iter().flatten())
+        .map(|site| EyeSample {
+            end: Endpoint::new(site.position, site.normal, 1.0),
+            origin: site.origin,
+        })
+        .collect();
+    let mut vertices = Vec::new();
+    walks(stage, plan).draw(1024, &mut vertices);
+    let lights = (vertices.iter())
+        .map(|place| {
+            let end = Endpoint::new(place.site.position, place.site.normal, 1.0);
+            SharedLight {
+                end: LightEnd::Surface(end),
+                target: Some(place.site.origin),
+                connections: 256.0,
+            }
+        })
+        .take(256)
+        .collect();
+    (eyes, lights)
+}
+
+/// Nanoseconds a question, one core.
+fn nanoseconds<'a, V: Visibility<occlude_render::geometry::Geometry<'a>>>(
+    stage: &Stage<'a>,
+    visibility: &V,
+    (eyes, lights): &(Vec<EyeSample>, Vec<SharedLight>),
+    repetitions: usize,
+) -> f64 {
+    let mut session = Session::new(stage.geometry, visibility);
+    let mut times = Vec::new();
+    for _ in 0..=repetitions {
+        let mut sum = 0.0;
+        let began = thread_seconds();
+        for eyes in eyes.chunks(1024) {
+            let mut add = EveryLight(lights.len(), |_, _, visible: f32| sum += visible);
+            session.answer_many(eyes, lights, &mut add);
+        }
+        times.push((thread_seconds() - began) * 1e9 / (eyes.len() * lights.len()) as f64);
+        std::hint::black_box(sum);
+    }
+    // The first finds out which records answer.
+    median(&times[1..]).0
+}
+
+fn costs(setting: &Setting, plan: &Plan, report: &mut Report, name: &str, stage: &Stage) {
+    let questions = questions(setting, plan, stage);
+    if questions.0.is_empty() || questions.1.is_empty() {
+        return report.note(format!("{name}: nothing to ask"));
+    }
+    let records = |select| {
+        let settings = RecordSettings {
+            select,
+            pace: 0,
+            ..settings(stage, plan, false)
+        };
+        let records = Records::new(settings).expect("legal settings");
+        records.prepare(stage.geometry, &[], &mut walks(stage, plan));
+        records
+    };
+    let (one, three) = (records(Select::Nearest), records(Select::Probable));
+    let site = {
+        let cache = three.cache();
+        let views = cache.views();
+        views[views.len() / 2].site
+    };
+    let mut fills = Vec::new();
+    for _ in 0..10 {
+        let began = thread_seconds();
+        std::hint::black_box(three.cache().measure_fill(stage.geometry, site));
+        fills.push((thread_seconds() - began) * 1e9);
+    }
+    let fill = median(&fills).0;
+    let repetitions = plan.repetitions.max(3);
+    let exact = nanoseconds(stage, &Exact, &questions, repetitions);
+    let c1 = nanoseconds(stage, &one, &questions, repetitions);
+    let c3 = nanoseconds(stage, &three, &questions, repetitions);
+    let pixels = 640.0 * 400.0;
+    let bound = (fill + pixels * c1) / (pixels * c3);
+    report.raw(&format!("instant,{name},0,exact,{exact},ns"));
+    report.raw(&format!("instant,{name},0,c1,{c1},ns"));
+    report.raw(&format!("instant,{name},0,c3,{c3},ns"));
+    report.table(
+        "Costs of a question, one core: a map a virtual light against three records (640x400; paper's gain: 36x in San Miguel, 7x in Sibenik, whose fills were slow)",
+        &[
+            "scene", "fill F, ms", "one map c1, ns", "three records c3, ns", "exact ray, ns", "bound (F + T c1)/(T c3)",
+            "exact / c3",
+        ],
+        vec![
+            name.into(),
+            fixed(fill / 1e6),
+            fixed(c1),
+            fixed(c3),
+            fixed(exact),
+            fixed(bound),
+            fixed(exact / c3),
+        ],
+    );
+}
+
+fn frames(setting: &Setting, plan: &Plan, report: &mut Report, measured: &Measured, stage: &Stage) {
+    let name = measured.subject.name;
+    let task = Task {
+        integrator: instant_radiosity(8, plan.vpls),
+        size: plan.size,
+        samples: if setting.quick { 1 } else { 4 },
+        seed: plan.seed,
+        single_passes: false,
+    };
+    let mut last = None;
+    let (exact, cached) = interleave(
+        plan.repetitions.min(2),
+        || stage.shoot(&Exact, &task),
+        || {
+            let settings = RecordSettings {
+                steps: plan.count / 2,
+                ..settings(stage, plan, false)
+            };
+            let records = Records::new(settings).expect("legal settings");
+            let shot = stage.shoot(&records, &task);
+            let made = records.cache().report();
+            last = Some(made.initial.as_secs_f64() + made.steps.total().as_secs_f64());
+            shot
+        },
+    );
+    let (e, c) = (exact.last(), cached.last());
+    let Ok(q) = quality(&c.picture, &e.picture) else {
+        return;
+    };
+    let (te, tc) = (exact.seconds().0, cached.seconds().0);
+    let ready = last.unwrap_or_default();
+    let whole = te / tc;
+    report.row(Row {
+        name: "instant radiosity, whole frame".into(),
+        scene: name.into(),
+        value: tc,
+        unit: "s".into(),
+        baseline: Some(te),
+        ratio: Some(whole),
+        spread: Some(cached.seconds().1),
+        bar: (measured.instant_bar).map(|bar| format!(">= {bar} x at FLIP <= 0.03")),
+        holds: (measured.instant_bar).map(|bar| whole >= bar && q.flip <= 0.03),
+    });
+    report.table(
+        "Instant radiosity against exact coherent rays",
+        &[
+            "scene",
+            "vpls",
+            "samples",
+            "exact s",
+            "records s",
+            "of it filling",
+            "frame",
+            "without filling",
+            "traced",
+            "energy change",
+            "FLIP",
+            "relMSE",
+        ],
+        vec![
+            name.into(),
+            plan.vpls.to_string(),
+            task.samples.to_string(),
+            fixed(te),
+            fixed(tc),
+            fixed(ready),
+            format!("x{}", fixed(whole)),
+            format!("x{}", fixed(te / (tc - ready).max(1e-9))),
+            percent(c.report.visibility.traced as f64 / c.report.visibility.queries as f64),
+            percent(q.energy),
+            fixed(q.flip),
+            format!("{:.2e}", q.relmse),
+        ],
+    );
+    let label = format!("{name}-instant");
+    let shown = (label.as_str(), task.samples);
+    if let Err(error) = figure::show(setting, report, shown, e, c, &q) {
+        report.note(format!("{name}: {error}"));
+    }
+}

@@ -1,0 +1,471 @@
+//! The cache: records, what they are worth, and how they move.
+
+use super::map::{self, DistanceTracer, Map, Site, Stand};
+use super::neighbours::{self, Change, Choice, Finder, Index, Links, NEIGHBOURS, NOBODY};
+use super::paraboloid::{Layout, UNKNOWN};
+use super::refine::StepTimes;
+use super::settings::{RecordSettings, RecordsError};
+use crate::two_part::Ball;
+use glam::Vec3;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::time::{Duration, Instant};
+
+/// Units of use that a whole weight of 1 counts.
+pub const WHOLE_USE: u32 = 1 << 16;
+
+/// Changes that workers can follow.
+const HISTORY: usize = 512;
+
+/// Random numbers: SplitMix64.
+#[derive(Clone, Debug)]
+pub(super) struct Random(pub(super) u64);
+
+impl Random {
+    pub(super) fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    pub(super) fn unit(&mut self) -> f32 {
+        (self.next() >> 40) as f32 / (1u64 << 24) as f32
+    }
+}
+
+/// A place where a record was asked for, and how much it counts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PathSite {
+    /// The place.
+    pub site: Site,
+    /// Its weight: `1 / d` for a vertex behind `d` scattering events (section 4.2).
+    pub weight: f32,
+}
+
+/// Draws places along paths from the camera, where questions will come from.
+pub trait Scout {
+    /// Appends about `count` places to `sites`, other ones at every call; fewer, or none, if the camera sees nothing.
+    fn draw(&mut self, count: usize, sites: &mut Vec<PathSite>);
+}
+
+/// What a cache holds and has done.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct RecordsReport {
+    /// Records.
+    pub count: u32,
+    /// Records at most.
+    pub capacity: u32,
+    /// Bytes held now.
+    pub bytes: u64,
+    /// Bytes held at most so far.
+    pub peak_bytes: u64,
+    /// Times of the refinement steps.
+    pub steps: StepTimes,
+    /// Rays that filled maps.
+    pub fill_rays: u64,
+    /// Rays that looked for places.
+    pub place_rays: u64,
+    /// Time of the initial distribution.
+    pub initial: Duration,
+    /// Records thrown away because they stood inside something.
+    pub blind: u64,
+    /// Records traced again because something moved in front of them.
+    pub refilled: u64,
+}
+
+/// What is known of a record, beside its stand.
+#[derive(Clone, Debug)]
+pub(super) struct Slot {
+    pub(super) map: Map,
+    pub(super) links: Links,
+    /// Distance of the farthest record that was looked at for the links.
+    pub(super) d_max: f32,
+    /// Correlation along each link; NaN: not known yet.
+    pub(super) agreement: [f32; NEIGHBOURS],
+    pub(super) utility: f32,
+    /// Passes for which the utility is a guess yet.
+    pub(super) fresh: u8,
+}
+
+impl Slot {
+    pub(super) fn correlation(&self) -> f32 {
+        let mut sum = 0.0;
+        let mut count = 0.0;
+        for (&(id, _), agreement) in self.links.iter().zip(self.agreement) {
+            if id != NOBODY {
+                sum += agreement;
+                count += 1.0;
+            }
+        }
+        if count > 0.0 { sum / count } else { 0.0 }
+    }
+}
+
+/// A bounded number of records, and where they stand. See the [module's description](super).
+#[derive(Debug)]
+pub struct Cache {
+    pub(super) settings: RecordSettings,
+    pub(super) layout: Layout,
+    pub(super) stands: Vec<Stand>,
+    pub(super) slots: Vec<Slot>,
+    /// Uses in this pass, in parts of [`WHOLE_USE`].
+    pub(super) uses: Vec<AtomicU64>,
+    pub(super) index: Index,
+    /// Distance that initial records keep from each other.
+    pub(super) spacing: f32,
+    version: u64,
+    history: Vec<Change>,
+    pub(super) random: Random,
+    pub(super) report: RecordsReport,
+}
+
+impl Cache {
+    /// A cache without records.
+    pub fn new(settings: RecordSettings) -> Result<Self, RecordsError> {
+        settings.check()?;
+        let [low, high] = settings.scene;
+        let diameter = (high - low).length();
+        Ok(Self {
+            layout: Layout::new(settings.resolution, diameter),
+            stands: Vec::new(),
+            slots: Vec::new(),
+            uses: Vec::new(),
+            index: Index::default(),
+            spacing: diameter,
+            version: 0,
+            history: Vec::new(),
+            random: Random(settings.seed ^ 0x7265_636f_7264_7321),
+            report: RecordsReport {
+                capacity: settings.capacity,
+                ..RecordsReport::default()
+            },
+            settings,
+        })
+    }
+
+    /// What was chosen.
+    pub fn settings(&self) -> &RecordSettings {
+        &self.settings
+    }
+
+    /// Number of records.
+    pub fn len(&self) -> usize {
+        self.stands.len()
+    }
+
+    /// Whether there are no records: nothing can be answered.
+    pub fn is_empty(&self) -> bool {
+        self.stands.is_empty()
+    }
+
+    /// What the cache holds and has done.
+    pub fn report(&self) -> RecordsReport {
+        let bytes = self.len() as u64 * self.settings.record_bytes();
+        RecordsReport {
+            count: self.len() as u32,
+            bytes,
+            peak_bytes: self.report.peak_bytes.max(bytes),
+            ..self.report
+        }
+    }
+
+    pub(super) fn map(&self, id: u32) -> &Map {
+        &self.slots[id as usize].map
+    }
+
+    /// Counts the changes of the records.
+    pub(super) fn version(&self) -> u64 {
+        self.version
+    }
+
+    /// Side of the cells that places are looked up by.
+    fn cell(&self) -> f32 {
+        2.5 * self.spacing
+    }
+
+    /// Records farther than this from a place do not answer for it.
+    fn reach(&self) -> f32 {
+        8.0 * self.spacing
+    }
+
+    pub(super) fn follow(&self, finder: &mut Finder) {
+        finder.follow(self.version, &self.history, self.cell());
+    }
+
+    /// The records that answer for a place; see [`Self::follow`].
+    pub(super) fn choose(&self, finder: &mut Finder, position: Vec3, normal: Vec3) -> Choice {
+        if self.is_empty() {
+            return Choice::NONE;
+        }
+        let (cell, falloff) = (self.cell(), self.settings.falloff);
+        let choice = finder.choose(&self.index, &self.stands, falloff, cell, position, normal);
+        let near = |id: u32| {
+            id != NOBODY && self.stands[id as usize].site.position.distance(position) < self.reach()
+        };
+        if near(choice.ids[0]) {
+            choice
+        } else {
+            Choice::NONE
+        }
+    }
+
+    /// Counts uses of a record, in parts of [`WHOLE_USE`].
+    pub(super) fn count(&self, id: u32, uses: u64) {
+        self.uses[id as usize].fetch_add(uses, Relaxed);
+    }
+
+    pub(super) fn changed(&mut self, id: u32, removed: bool, added: Option<Vec3>) {
+        self.version += 1;
+        if self.history.len() == HISTORY {
+            self.history.drain(..HISTORY / 2);
+        }
+        self.history.push(Change { id, removed, added });
+    }
+
+    /// The initial distribution (section 3.1): records at the vertices of camera paths, those too near to others left out. The
+    /// distance to keep is found on the way: it starts large and shrinks while too few places pass.
+    pub fn place_initial<T: DistanceTracer>(&mut self, tracer: &T, scout: &mut dyn Scout) {
+        const DRAWN: usize = 4096;
+        const SHRINK: f32 = 0.8;
+        let began = Instant::now();
+        let wanted = self.settings.capacity.min(self.settings.initial) as usize;
+        let [low, high] = self.settings.scene;
+        let mut spacing = (high - low).length() / (wanted as f32).sqrt();
+        let mut sites = Vec::new();
+        let mut stands: Vec<Stand> = self.stands.clone();
+        let first = stands.len();
+        let mut vain = 0;
+        while stands.len() < wanted && vain < 60 {
+            sites.clear();
+            scout.draw(DRAWN, &mut sites);
+            if sites.is_empty() {
+                break;
+            }
+            self.report.place_rays += sites.len() as u64;
+            let before = stands.len();
+            for place in &sites {
+                let stand = Stand::new(place.site);
+                if stands.len() < wanted
+                    && place.site.position.is_finite()
+                    && place.site.normal.is_normalized()
+                    && !self.index.is_near(&stands, &stand, spacing)
+                {
+                    self.index.insert(stands.len() as u32, place.site.position);
+                    stands.push(stand);
+                }
+            }
+            if stands.len() - before < (wanted / 16).clamp(1, sites.len() / 8) {
+                spacing *= SHRINK;
+                vain += 1;
+            }
+        }
+        self.spacing = spacing;
+        let threads = self.settings.threads;
+        let surfaces = self.settings.surfaces;
+        let new = &stands[first..];
+        let maps = map::fill_all(tracer, &self.layout, new, surfaces, threads);
+        self.report.fill_rays += (new.len() * self.layout.texels.len()) as u64;
+        // Numbers change if some are thrown away, so the tree is made anew.
+        self.index = Index::default();
+        for (id, stand) in self.stands.iter().enumerate() {
+            self.index.insert(id as u32, stand.site.position);
+        }
+        for (&stand, map) in new.iter().zip(maps) {
+            if map::is_blind(&map, &self.layout, self.blind_within()) {
+                self.report.blind += 1;
+                continue;
+            }
+            self.push(stand, map, 1.0);
+        }
+        self.version += 1 + HISTORY as u64;
+        for id in 0..self.len() as u32 {
+            self.link(id);
+        }
+        for id in 0..self.len() as u32 {
+            self.correlate_all(id);
+        }
+        self.report.initial += began.elapsed();
+    }
+
+    /// Who sees no farther than this stands inside something.
+    pub(super) fn blind_within(&self) -> f32 {
+        0.02 * self.spacing
+    }
+
+    pub(super) fn push(&mut self, stand: Stand, map: Map, utility: f32) {
+        let id = self.len() as u32;
+        self.index.insert(id, stand.site.position);
+        self.stands.push(stand);
+        self.slots.push(Slot {
+            map,
+            links: [(NOBODY, 0.0); NEIGHBOURS],
+            d_max: 0.0,
+            agreement: [0.0; NEIGHBOURS],
+            utility,
+            fresh: 2,
+        });
+        self.uses.push(AtomicU64::new(0));
+        let bytes = self.len() as u64 * self.settings.record_bytes();
+        self.report.peak_bytes = self.report.peak_bytes.max(bytes);
+    }
+
+    /// Finds the neighbours of a record; correlations along links that stay are kept.
+    pub(super) fn link(&mut self, id: u32) {
+        let stand = &self.stands[id as usize];
+        let (links, d_max) =
+            neighbours::links(&self.index, &self.stands, self.settings.falloff, stand, id);
+        let slot = &mut self.slots[id as usize];
+        let before = std::mem::replace(&mut slot.links, links);
+        let old = std::mem::replace(&mut slot.agreement, [f32::NAN; NEIGHBOURS]);
+        for (link, agreement) in slot.links.iter().zip(&mut slot.agreement) {
+            if let Some(k) = before.iter().position(|other| other.0 == link.0) {
+                *agreement = old[k];
+            }
+        }
+        slot.d_max = d_max;
+    }
+
+    /// Computes correlations along the links of a record that have none yet.
+    pub(super) fn correlate(&mut self, id: u32) {
+        for k in 0..NEIGHBOURS {
+            let slot = &self.slots[id as usize];
+            let other = slot.links[k].0;
+            if other != NOBODY && slot.agreement[k].is_nan() {
+                let agreement = self.agreement(id, other);
+                self.slots[id as usize].agreement[k] = agreement;
+            }
+        }
+    }
+
+    fn correlate_all(&mut self, id: u32) {
+        self.slots[id as usize].agreement = [f32::NAN; NEIGHBOURS];
+        self.correlate(id);
+    }
+
+    /// Takes over what has been used since the last call.
+    pub fn end_pass(&mut self) {
+        let used = |uses: &AtomicU64| uses.load(Relaxed);
+        if self.uses.iter().all(|uses| used(uses) == 0) {
+            return;
+        }
+        for (slot, uses) in self.slots.iter_mut().zip(&self.uses) {
+            let count = uses.swap(0, Relaxed);
+            if count > 0 || slot.fresh == 0 {
+                slot.utility = (count as f64 / f64::from(WHOLE_USE)) as f32;
+                slot.fresh = 0;
+            } else {
+                // A guess that nobody has confirmed yet.
+                slot.fresh -= 1;
+            }
+        }
+    }
+
+    /// Use by places that stand for the questions to come.
+    pub fn pilot(&mut self, sites: &[PathSite]) {
+        let mut finder = Finder::default();
+        self.follow(&mut finder);
+        for place in sites {
+            let choice = self.choose(&mut finder, place.site.position, place.site.normal);
+            for (&id, weight) in choice.ids.iter().zip(choice.weights) {
+                if id != NOBODY {
+                    let uses = place.weight * weight * WHOLE_USE as f32;
+                    self.count(id, uses as u64);
+                }
+            }
+        }
+        self.end_pass();
+    }
+
+    /// To be called when something has moved: `before` and `now` hold what moves, in the picture before and in this one, and
+    /// `tracer` is about this one. Records that stood on it go; those that see where it was or is are traced again.
+    pub fn moved<T: DistanceTracer>(&mut self, tracer: &T, before: &[Ball], now: &[Ball]) {
+        let inside = |stand: &Stand, balls: &[Ball]| {
+            let near = |ball: &Ball| ball.centre.distance(stand.site.position) <= ball.radius;
+            balls.iter().any(near)
+        };
+        let mut id = 0;
+        while id < self.len() {
+            if inside(&self.stands[id], before) || inside(&self.stands[id], now) {
+                self.take_out(id as u32);
+            } else {
+                id += 1;
+            }
+        }
+        let sees = |id: &usize| {
+            let balls = before.iter().chain(now);
+            balls.clone().any(|ball| self.sees_ball(*id as u32, ball))
+        };
+        let stale: Vec<usize> = (0..self.len()).filter(sees).collect();
+        let stands: Vec<Stand> = stale.iter().map(|&id| self.stands[id]).collect();
+        let (surfaces, threads) = (self.settings.surfaces, self.settings.threads);
+        let maps = map::fill_all(tracer, &self.layout, &stands, surfaces, threads);
+        self.report.fill_rays += (stale.len() * self.layout.texels.len()) as u64;
+        self.report.refilled += stale.len() as u64;
+        for (&id, map) in stale.iter().zip(maps) {
+            self.slots[id].map = map;
+        }
+        self.version += 1 + HISTORY as u64;
+        for id in 0..self.len() as u32 {
+            self.link(id);
+        }
+        for id in 0..self.len() as u32 {
+            let links = self.slots[id as usize].links;
+            let stale = |id: u32| stale.binary_search(&(id as usize)).is_ok();
+            for (k, link) in links.iter().enumerate() {
+                if stale(id) || link.0 != NOBODY && stale(link.0) {
+                    self.slots[id as usize].agreement[k] = f32::NAN;
+                }
+            }
+            self.correlate(id);
+        }
+    }
+
+    /// Removes a record; the last takes its number.
+    fn take_out(&mut self, id: u32) {
+        let last = self.len() as u32 - 1;
+        let position = |cache: &Self, id: u32| cache.stands[id as usize].site.position;
+        self.index.remove(id, position(self, id));
+        if id != last {
+            self.index.remove(last, position(self, last));
+            self.index.insert(id, position(self, last));
+        }
+        self.stands.swap_remove(id as usize);
+        self.slots.swap_remove(id as usize);
+        self.uses.swap_remove(id as usize);
+        for slot in &mut self.slots {
+            for (link, agreement) in slot.links.iter_mut().zip(&mut slot.agreement) {
+                if link.0 == id {
+                    (link.0, *agreement) = (NOBODY, f32::NAN);
+                } else if link.0 == last {
+                    link.0 = id;
+                }
+            }
+        }
+    }
+
+    /// Whether something in the ball could be, or hide, what a record sees.
+    fn sees_ball(&self, id: u32, ball: &Ball) -> bool {
+        let stand = &self.stands[id as usize];
+        let centre = stand.local(ball.centre - stand.site.origin);
+        let distance = centre.length();
+        if distance <= ball.radius {
+            return true;
+        }
+        if centre.z <= -ball.radius {
+            return false;
+        }
+        let toward = centre / distance;
+        // A texel more on every side.
+        let angle = (ball.radius / distance).min(1.0).asin() + 3.0 * self.layout.width();
+        let cos = angle.min(std::f32::consts::PI).cos();
+        let nearest = (distance - ball.radius) * 0.99;
+        let texels = self.layout.texels.iter().zip(&self.layout.directions);
+        texels
+            .filter(|(_, direction)| direction.dot(toward) >= cos)
+            .any(|(&texel, _)| {
+                let code = self.map(id).code(texel);
+                code == UNKNOWN || self.layout.scale.decode(code) >= nearest
+            })
+    }
+}

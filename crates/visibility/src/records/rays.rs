@@ -1,0 +1,414 @@
+//! What a place sees along a direction, and whether it sees another place: single questions, as paths ask them.
+//!
+//! Snapping takes the question to a record: a ray starts there, with its own direction; a segment starts there and ends where it ended.
+//! Marching follows the true ray and asks the record about points on it: the first that lies behind what the record sees is a hit
+//! (Ulbrich 2013, section 6).
+
+use super::cache::{Cache, WHOLE_USE};
+use super::map::{Map, Texel};
+use super::neighbours::{Choice, Finder, NOBODY};
+use super::paraboloid::{SKY, UNKNOWN};
+use super::settings::{Lookup, Select};
+use glam::Vec3;
+
+/// Points at which a marching ray is tested.
+const MARCH: usize = 32;
+
+/// Halvings of the step in which a marching ray goes behind something.
+const BISECTIONS: usize = 5;
+
+/// Half a texel's diagonal, in widths of a texel.
+const HALF_DIAGONAL: f32 = 0.75;
+
+/// Tolerances grow with the slant of what is seen, up to this.
+pub(super) const MOST_SLANT: f32 = 6.0;
+
+/// A surface that a record sees.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CachedSurface {
+    /// World-space position, as exact as the record's texels.
+    pub position: Vec3,
+    /// Unit normal on the side that is seen.
+    pub normal: Vec3,
+    /// Share of light that the surface reflects, by channel.
+    pub albedo: Vec3,
+    /// Width of the texel there: what `position` is uncertain by.
+    pub footprint: f32,
+}
+
+/// The answer to "what does this place see along this direction?".
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum RayAnswer {
+    /// A surface.
+    Surface(CachedSurface),
+    /// Nothing: the ray leaves the scene.
+    Sky,
+    /// No record knows, or what is seen cannot be kept: trace the ray.
+    Unknown,
+}
+
+/// Where a segment ends.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum SegmentEnd {
+    /// At a point.
+    Point(Vec3),
+    /// At a point on a surface with this normal.
+    Surface(Vec3, Vec3),
+    /// Infinitely far away, along this unit vector.
+    Direction(Vec3),
+}
+
+/// What one worker keeps between questions: which records stand near the places that it was asked about, and how often they were used.
+#[derive(Clone, Debug, Default)]
+pub struct RecordsReader {
+    pub(super) finder: Finder,
+    uses: Vec<u64>,
+}
+
+/// A ray question that knows its record and texel, but has not looked there yet. So that many look at once: memory answers late.
+#[derive(Clone, Copy, Debug)]
+pub struct Aim {
+    id: u32,
+    texel: u32,
+}
+
+/// The same for a segment.
+#[derive(Clone, Copy, Debug)]
+pub struct SegmentAim {
+    /// Where to look.
+    pub aim: Aim,
+    from: Vec3,
+    end: SegmentEnd,
+}
+
+/// The records that answer for a place.
+#[derive(Clone, Copy, Debug)]
+pub struct Nearby(Choice);
+
+impl Nearby {
+    /// Nobody does.
+    pub fn is_empty(&self) -> bool {
+        self.0.ids[0] == NOBODY
+    }
+}
+
+impl Cache {
+    /// Tells a reader that records may have changed: to be called before the first question after a pass.
+    pub fn begin_reading(&self, reader: &mut RecordsReader) {
+        self.follow(&mut reader.finder);
+        reader.uses.resize(self.len(), 0);
+    }
+
+    /// Hands over what a reader has counted; adding up whole numbers, in any order.
+    pub fn end_reading(&self, reader: &mut RecordsReader) {
+        for (id, uses) in reader.uses.iter_mut().enumerate() {
+            if *uses != 0 && id < self.len() {
+                self.count(id as u32, *uses);
+            }
+        }
+        reader.uses.clear();
+    }
+
+    /// The records that answer for a place.
+    pub fn nearby(&self, reader: &mut RecordsReader, position: Vec3, normal: Vec3) -> Nearby {
+        Nearby(self.choose(&mut reader.finder, position, normal))
+    }
+
+    /// The record that a ray question along a unit vector goes to: `random` (0 to 1) chooses among three. Its use counts `weight`.
+    /// `None`: nobody knows.
+    pub fn aim(
+        &self,
+        reader: &mut RecordsReader,
+        nearby: &Nearby,
+        direction: Vec3,
+        random: f32,
+        weight: f32,
+    ) -> Option<Aim> {
+        // Directions below a record's horizon are not its business.
+        let valid = |id: u32| self.stands[id as usize].frame.z_axis.dot(direction) > 0.0;
+        let id = pick(&nearby.0, self.settings.select, random, valid)?;
+        reader.uses[id as usize] += (weight * WHOLE_USE as f32) as u64;
+        let d = self.stands[id as usize].local(direction);
+        let texel = self.layout.texel(d.x, d.y, 1.0 + d.z);
+        Some(Aim { id, texel })
+    }
+
+    /// As [`Self::aim`], for the question whether a place at `from` sees an end.
+    pub fn aim_segment(
+        &self,
+        reader: &mut RecordsReader,
+        nearby: &Nearby,
+        from: Vec3,
+        end: SegmentEnd,
+        random: f32,
+        weight: f32,
+    ) -> Option<SegmentAim> {
+        let offset = |id: u32| match end {
+            SegmentEnd::Direction(direction) => direction,
+            SegmentEnd::Point(point) | SegmentEnd::Surface(point, _) => {
+                point - self.stands[id as usize].site.position
+            }
+        };
+        let valid = |id: u32| self.stands[id as usize].frame.z_axis.dot(offset(id)) > 0.0;
+        let id = pick(&nearby.0, self.settings.select, random, valid)?;
+        reader.uses[id as usize] += (weight * WHOLE_USE as f32) as u64;
+        let p = self.stands[id as usize].local(offset(id));
+        let texel = self.layout.texel(p.x, p.y, p.length() + p.z);
+        let aim = Aim { id, texel };
+        Some(SegmentAim { aim, from, end })
+    }
+
+    /// The texel aimed at.
+    #[inline]
+    pub fn fetch(&self, aim: &Aim) -> u64 {
+        match self.map(aim.id) {
+            Map::Surfaces(texels) => texels[aim.texel as usize].0,
+            Map::Distances(codes) => u64::from(codes[aim.texel as usize]),
+        }
+    }
+
+    /// How far the record aimed at stands from `position`.
+    pub fn parallax(&self, aim: &Aim, position: Vec3) -> f32 {
+        self.stands[aim.id as usize]
+            .site
+            .position
+            .distance(position)
+    }
+
+    /// What the ray from `position` along the unit vector `direction` meets, by the record and texel found before.
+    pub fn look(&self, aim: &Aim, texel: u64, position: Vec3, direction: Vec3) -> RayAnswer {
+        let stand = &self.stands[aim.id as usize];
+        let texel = Texel(texel);
+        let height = stand.frame.z_axis.dot(direction).max(0.0);
+        let surface = |texel: Texel, position: Vec3, distance: f32| {
+            if texel.trace() {
+                return RayAnswer::Unknown;
+            }
+            let normal = texel.normal();
+            RayAnswer::Surface(CachedSurface {
+                position,
+                // Rounded normals must not turn away from who sees them.
+                normal: if normal.dot(direction) < -0.01 {
+                    normal
+                } else {
+                    (normal - direction * (normal.dot(direction) + 0.02)).normalize()
+                },
+                albedo: texel.albedo(),
+                footprint: self.layout.width() * distance * (1.0 + height),
+            })
+        };
+        if self.settings.lookup == Lookup::March {
+            return match self.march(aim.id, position, direction) {
+                None => RayAnswer::Unknown,
+                Some((_, SKY, _)) => RayAnswer::Sky,
+                Some((at, _, hit)) => match self.map(aim.id) {
+                    Map::Surfaces(texels) => {
+                        surface(texels[at as usize], hit, hit.distance(position))
+                    }
+                    Map::Distances(_) => RayAnswer::Unknown,
+                },
+            };
+        }
+        match texel.code() {
+            UNKNOWN => RayAnswer::Unknown,
+            SKY => RayAnswer::Sky,
+            code => {
+                let distance = self.layout.scale.decode(code);
+                let parallax = stand.site.position.distance(position);
+                if distance < 0.25 * self.settings.contact * parallax {
+                    return RayAnswer::Unknown;
+                }
+                surface(texel, stand.site.position + direction * distance, distance)
+            }
+        }
+    }
+
+    /// Follows a ray: the texel where it goes behind what the record sees, its code, and the point of the ray there. The code is
+    /// [`SKY`] if the ray leaves the scene; `None`: it leaves what the record knows.
+    fn march(&self, id: u32, position: Vec3, direction: Vec3) -> Option<(u32, u16, Vec3)> {
+        let stand = &self.stands[id as usize];
+        let (start, d) = (
+            stand.local(position - stand.site.position),
+            stand.local(direction),
+        );
+        let scale = self.layout.scale;
+        let texel = |p: Vec3| self.layout.texel(p.x, p.y, p.length() + p.z);
+        let behind = |p: Vec3| {
+            let length = p.length();
+            let code = self.map(id).code(self.layout.texel(p.x, p.y, length + p.z));
+            code != UNKNOWN && code != SKY && length > scale.decode(code)
+        };
+        let [low, high] = self.settings.scene;
+        let far = (high - low).length();
+        // Steps grow with the distance, as texels do.
+        let first = start.length().max(1e-4 * far);
+        let growth = (far / first).powf(1.0 / MARCH as f32).max(1.01);
+        let mut from = 0.0;
+        let mut reach = first * (growth - 1.0);
+        for _ in 0..MARCH {
+            let p = start + d * reach;
+            if p.z <= 0.0 {
+                return None;
+            }
+            if behind(p) {
+                let mut to = reach;
+                for _ in 0..BISECTIONS {
+                    let middle = 0.5 * (from + to);
+                    if behind(start + d * middle) {
+                        to = middle;
+                    } else {
+                        from = middle;
+                    }
+                }
+                let at = texel(start + d * to);
+                return Some((at, self.map(id).code(at), position + direction * to));
+            }
+            from = reach;
+            reach = (reach + first) * growth - first;
+        }
+        let at = texel(start + d * far);
+        Some((at, self.map(id).code(at), position + direction * far))
+    }
+
+    /// Whether a place at `from` sees the end of a segment, by its records together: from 0 to 1, `None` if nobody knows.
+    pub fn segment(
+        &self,
+        reader: &mut RecordsReader,
+        nearby: &Nearby,
+        from: Vec3,
+        end: SegmentEnd,
+        weight: f32,
+    ) -> Option<f32> {
+        let (mut seen, mut sum) = (0.0, 0.0);
+        for (&id, w) in nearby.0.ids.iter().zip(nearby.0.weights) {
+            if id == NOBODY {
+                break;
+            }
+            let Some(answer) = self.segment_by(id, from, end) else {
+                continue;
+            };
+            reader.uses[id as usize] += (w * weight * WHOLE_USE as f32) as u64;
+            sum += w;
+            seen += if answer { w } else { 0.0 };
+            if self.settings.select == Select::Nearest {
+                break;
+            }
+        }
+        (sum > 0.0).then(|| seen / sum)
+    }
+
+    /// Whether one record sees the end of a segment; `None` if it does not know.
+    pub(super) fn segment_by(&self, id: u32, from: Vec3, end: SegmentEnd) -> Option<bool> {
+        let stand = &self.stands[id as usize];
+        let p = match end {
+            SegmentEnd::Direction(direction) => stand.local(direction),
+            SegmentEnd::Point(point) | SegmentEnd::Surface(point, _) => {
+                stand.local(point - stand.site.position)
+            }
+        };
+        let texel = self.layout.texel(p.x, p.y, p.length() + p.z);
+        let aim = Aim { id, texel };
+        let code = u64::from(self.map(id).code(texel));
+        self.sees(&SegmentAim { aim, from, end }, code)
+    }
+
+    /// Whether the segment's end is seen, by the record and texel found before; `None` if the record does not know.
+    pub fn sees(&self, segment: &SegmentAim, texel: u64) -> Option<bool> {
+        let id = segment.aim.id;
+        let code = Texel(texel).code();
+        let stand = &self.stands[id as usize];
+        let (point, normal) = match segment.end {
+            SegmentEnd::Direction(direction) => {
+                let above = stand.frame.z_axis.dot(direction) > 0.0;
+                return (above && code != UNKNOWN).then_some(code == SKY);
+            }
+            SegmentEnd::Point(point) => (point, None),
+            SegmentEnd::Surface(point, normal) => (point, Some(normal)),
+        };
+        if self.settings.lookup == Lookup::March {
+            return self.march_to(id, segment.from, point);
+        }
+        let offset = point - stand.site.position;
+        let z = stand.frame.z_axis.dot(offset);
+        let parallax = stand.site.position.distance(segment.from);
+        let near = offset.length() < self.settings.contact * parallax;
+        if z <= 0.0 || code == UNKNOWN || near {
+            return None;
+        }
+        let length = offset.length();
+        let slope = normal.map_or(length, |normal| {
+            normal.dot(offset).abs().max(length / MOST_SLANT)
+        });
+        let distance = self.layout.scale.decode(code);
+        Some(sees(length, z, slope, distance, self.layout.width()))
+    }
+
+    /// Whether nothing that the record sees lies in front of points of a segment.
+    fn march_to(&self, id: u32, from: Vec3, to: Vec3) -> Option<bool> {
+        let stand = &self.stands[id as usize];
+        let place = |p: Vec3| stand.local(p - stand.site.position);
+        let (start, end) = (place(from), place(to));
+        if end.z <= 0.0 {
+            return None;
+        }
+        let width = self.layout.width();
+        for k in 1..=MARCH {
+            let p = start.lerp(end, k as f32 / MARCH as f32);
+            if p.z <= 0.0 {
+                continue;
+            }
+            let length = p.length();
+            let code = self.map(id).code(self.layout.texel(p.x, p.y, length + p.z));
+            if code == UNKNOWN {
+                return None;
+            }
+            // The slant of what lies there is not known.
+            if !sees(
+                length,
+                p.z,
+                0.5 * length,
+                self.layout.scale.decode(code),
+                width,
+            ) {
+                return Some(false);
+            }
+        }
+        Some(true)
+    }
+}
+
+/// Whether a point at distance `length` from a record, at height `z` above its plane, is seen by a texel with `distance`: with a tolerance
+/// of half the texel's footprint, on a surface at whose slant `slope` is `length` times the cosine.
+#[inline(always)]
+pub(super) fn sees(length: f32, z: f32, slope: f32, distance: f32, width: f32) -> bool {
+    let footprint = width * (length + z);
+    (length - distance) * slope <= HALF_DIAGONAL * footprint * length
+}
+
+/// One of three records, among those that are valid.
+fn pick(choice: &Choice, select: Select, random: f32, valid: impl Fn(u32) -> bool) -> Option<u32> {
+    let mut weights = choice.weights;
+    for (weight, &id) in weights.iter_mut().zip(&choice.ids) {
+        if id == NOBODY || !valid(id) {
+            *weight = 0.0;
+        }
+    }
+    let sum = weights[0] + weights[1] + weights[2];
+    if sum.is_nan() || sum <= 0.0 {
+        return None;
+    }
+    let positive = (0..3).filter(|&k| weights[k] > 0.0);
+    if select == Select::Nearest {
+        return positive.map(|k| choice.ids[k]).next();
+    }
+    let mut rest = random * sum;
+    let mut last = None;
+    for k in positive {
+        last = Some(choice.ids[k]);
+        if rest < weights[k] {
+            break;
+        }
+        rest -= weights[k];
+    }
+    last
+}
