@@ -1,6 +1,6 @@
 //! How noisy a gather is: the mean relative standard error, estimated on a few sides by the spread of batches.
 //!
-//! A standard error for every texel would double the memory of a bake. Every [`EVERY`]th side is watched instead: at the end of every batch
+//! A standard error for every texel would double the memory of a bake. Every `EVERY`th side is watched instead: at the end of every batch
 //! (items that are gathered one after the other) the mean of the batch is compared with the mean of all. Batches are
 //! independent of each other; texels are not, so this says how far a typical texel is off, not how errors lie together.
 

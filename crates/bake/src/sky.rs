@@ -1,7 +1,7 @@
 //! The sky in two parts: what is small and bright is left to rays that are aimed at it, the even rest to bundles.
 //!
 //! A sun that one of a thousand directions meets would be an error of the whole map at once. What is brighter than
-//! [`CLIP`] times the mean is therefore cut off and becomes a light of its own; their sum is the sky as it was.
+//! `CLIP` times the mean is therefore cut off and becomes a light of its own; their sum is the sky as it was.
 
 use glam::Vec3;
 use occlude_image::Picture;

@@ -5,7 +5,7 @@
 //! must be dense: the window is analysed first and cut into tiles with resolutions of their own.
 //!
 //! * [`Triangles`]: the scene flattened, and the sides of all surfaces numbered ([`Sides`]);
-//! * [`Radiance`]: what every side sends out; [`Sums`](crate::sums::Sums): what arrives;
+//! * [`Radiance`]: what every side sends out; [`Sums`]: what arrives;
 //! * [`gather`]: a range of directions of one round. Bounces go in rounds, each reading the map of the round before: feeding a running
 //!   mean back converges like `k^-(1 - albedo)`, far too slowly.
 //!

@@ -141,7 +141,7 @@ pub struct Exported {
     pub stitched: Stitched,
 }
 
-/// Bytes that [`write`] holds for each texel of the pages that are finished together.
+/// Bytes that [`write()`] holds for each texel of the pages that are finished together.
 pub const FINISHING_BYTES_PER_TEXEL: u64 = Canvas::BYTES_PER_TEXEL + 13;
 
 /// Finishes and writes everything but the scene: maps, previews, manifest. Texels inside of solids are found and repaired if `insides` is given. Pages are finished together where seams across them are to be closed
