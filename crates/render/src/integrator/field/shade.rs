@@ -323,7 +323,10 @@ impl Shading<'_, '_> {
         let det = xx * yy - xy * xy;
         let slope = -Vec2::new(yy * first.x - xy * first.y, xx * first.y - xy * first.x) / det;
         let taken = -slope.dot(first) / sum;
-        let slope = if taken > 1.0 - LEAST {
+        // A lone point right here says nothing about slopes.
+        let slope = if !taken.is_finite() {
+            Vec2::ZERO
+        } else if taken > 1.0 - LEAST {
             slope * ((1.0 - LEAST) / taken)
         } else {
             slope
