@@ -511,6 +511,7 @@ fn bundles_agree_with_paths() {
             let settings = PathSettings {
                 part: Part::All,
                 bounces,
+                luminous: true,
                 reach: f32::INFINITY,
                 seed,
             };
