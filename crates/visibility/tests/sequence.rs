@@ -181,9 +181,10 @@ fn later_pictures_know_what_earlier_ones_learnt() {
     let (first, fresh) = picture(&strategy, &world, &here, &lights, &FORWARD);
     Visibility::<Spheres>::next_picture(&mut strategy);
     let (again, known) = picture(&strategy, &world, &here, &lights, &FORWARD);
-    // Tiles meet at their borders: there a cell may have been answered twice.
+    // Tiles meet at their borders: there a cell may have been answered twice. And who now knows more neighbours than at first
+    // differs from one more often, and is refined: a few rays in a hundred.
     assert!(
-        known.traced * 50 < fresh.traced,
+        known.traced * 30 < fresh.traced,
         "{} then {}",
         fresh.traced,
         known.traced
