@@ -25,7 +25,7 @@ use occlude_render::light::Lights;
 use occlude_render::work::shard_samples;
 use occlude_scene::{Instance, Pose, Scene, moving_instances};
 use occlude_visibility::two_part::{Ball, TwoPart, TwoPartTracer};
-use occlude_visibility::{Exact, Occluder, Visibility};
+use occlude_visibility::{Class, Exact, Occluder, Visibility};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -389,20 +389,19 @@ impl Plan<'_> {
         }
         context.progress.finish();
         if let Some(total) = &total {
-            let bytes = Visibility::<Geometry>::bytes(&visibility);
-            let strategy = Visibility::<Geometry>::name(&visibility);
-            let class = Visibility::<Geometry>::class(&visibility);
+            let (strategy, bytes) = match &total.report.field {
+                Some(field) => (("field", Class::Biased), field.bytes),
+                None => {
+                    let strategy = Visibility::<Geometry>::name(&visibility);
+                    let class = Visibility::<Geometry>::class(&visibility);
+                    let bytes = Visibility::<Geometry>::bytes(&visibility);
+                    ((strategy, class), bytes)
+                }
+            };
             let records = Visibility::<Geometry>::records(&visibility)
                 .map(|records| records.cache().report());
             let (samples, report) = (total.samples, &total.report);
-            let stats = work_stats(
-                samples,
-                report,
-                (strategy, class),
-                bytes,
-                records,
-                &sequence,
-            );
+            let stats = work_stats(samples, report, strategy, bytes, records, &sequence);
             warn_of_no_records(context, &stats);
             context.stats.work = Some(stats);
             if total.dropped > 0 {
