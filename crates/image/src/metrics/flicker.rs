@@ -88,7 +88,9 @@ mod tests {
         assert!(0.0 < faint.excess && faint.excess < strong.excess);
         assert!(strong.worst >= strong.excess && strong.test > strong.reference);
         // The other way round nothing flickers that should not.
-        assert_eq!(flicker(&sequence(0.0), &sequence(0.3)).unwrap().excess, 0.0);
+        // (But for rounding in the filters.)
+        let reversed = flicker(&sequence(0.0), &sequence(0.3)).unwrap();
+        assert!(reversed.excess < 1e-7 && reversed.worst < 1e-7);
     }
 
     #[test]

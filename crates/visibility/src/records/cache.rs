@@ -179,14 +179,21 @@ impl Cache {
         self.version
     }
 
-    /// Side of the cells that places are looked up by.
+    /// Side of the cells that places are looked up by. Steps gather records where they are used: a cell much larger than their
+    /// distance there knows the records around its middle alone.
     fn cell(&self) -> f32 {
-        2.5 * self.spacing
+        0.5 * self.spacing
     }
 
     /// Records farther than this from a place do not answer for it.
     fn reach(&self) -> f32 {
         8.0 * self.spacing
+    }
+
+    /// How near to a place records have nothing to say, if they stand `parallax` away from it. What stands right in front of a place
+    /// hides it from what is near, however close to the place the records have moved: hence at least a quarter of their spacing.
+    pub(super) fn contact_reach(&self, parallax: f32) -> f32 {
+        self.settings.contact * parallax.max(0.25 * self.spacing)
     }
 
     pub(super) fn follow(&self, finder: &mut Finder) {

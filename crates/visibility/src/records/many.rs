@@ -297,8 +297,7 @@ fn contact_reach(cache: &Cache, choice: &Choice, light: Vec3) -> f32 {
             parallax += weight * cache.stands[id as usize].site.position.distance(light);
         }
     }
-    // What stands right in front of a light hides it from eyes nearby, and those it lights most.
-    (cache.settings.contact * parallax).max(0.25 * cache.settings.contact * cache.spacing)
+    cache.contact_reach(parallax)
 }
 
 /// Which of eight eyes are nearer to a place than the root of `reach2`, as bits.

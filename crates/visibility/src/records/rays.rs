@@ -331,7 +331,7 @@ impl Cache {
         let offset = point - stand.site.position;
         let z = stand.frame.z_axis.dot(offset);
         let parallax = stand.site.position.distance(segment.from);
-        let near = offset.length() < self.settings.contact * parallax;
+        let near = offset.length() < self.contact_reach(parallax);
         if z <= 0.0 || code == UNKNOWN || near {
             return None;
         }

@@ -29,18 +29,19 @@ macro_rules! wide {
 }
 pub(super) use wide;
 
-/// `exp(x)` for `x` up to 80, wrong by less than 1e-5 of it (1e-6 near 0); 0 below -86.
+/// `exp(x)` for `x` up to 80; 0 below -86. Relative error below 4e-7 near 0, growing by 1.3e-7 a unit of `x` (its own rounding).
 #[inline(always)]
 pub(super) fn exp(x: f32) -> f32 {
     // 2^y = 2^i 2^f: adding a large number rounds to i and leaves it in the lowest bits.
     const MAGIC: f32 = 12_582_912.0;
+    // The best polynomial of degree 5 for 2^f on [-1/2, 1/2] that is 1 at 0: relative error 9e-8.
     const C: [f32; 6] = [
         1.0,
-        std::f32::consts::LN_2,
-        0.240_226_5,
-        0.055_503_93,
-        0.009_618_63,
-        0.001_339_95,
+        0.693_147,
+        0.240_222_42,
+        0.055_507_337,
+        0.009_671_513,
+        0.001_326_472_7,
     ];
     let y = x.max(-87.0) * LOG2_E;
     let shifted = y + MAGIC;
@@ -64,7 +65,7 @@ mod tests {
             let expected = f64::from(x).exp();
             let error = (f64::from(exp(x)) - expected).abs();
             assert!(
-                error <= (1e-6 + 2e-7 * f64::from(x.abs())) * expected + 1e-37,
+                error <= (4e-7 + 1.3e-7 * f64::from(x.abs())) * expected + 1e-37,
                 "{x}: {} {expected}",
                 exp(x)
             );

@@ -1,0 +1,162 @@
+//! `--visibility records` and `--secondary records` from outside.
+
+mod util;
+use util::Dir;
+
+const INSTANT: &str =
+    "render c.glb --size 48x32 --samples 2 --integrator instant-radiosity --vpls 64";
+const PATH: &str = "render c.glb --size 48x32 --samples 6";
+const FEW: &str = "count=60,resolution=32,steps=20";
+
+fn cornell() -> Dir {
+    let dir = Dir::new();
+    dir.must("scene cornell -o c.glb");
+    dir
+}
+
+#[test]
+fn threads_do_not_show_and_statistics_add_up() {
+    let dir = cornell();
+    for (name, command) in [
+        ("i", format!("{INSTANT} --visibility records:{FEW}")),
+        (
+            "u",
+            format!("{INSTANT} --guarantee unbiased --visibility records:{FEW}"),
+        ),
+        ("p", format!("{PATH} --secondary records:from=1,{FEW}")),
+        (
+            "m",
+            format!("{PATH} --secondary records:from=2,lookup=march,near=on,{FEW}"),
+        ),
+    ] {
+        dir.must(&format!(
+            "{command} --threads 1 -o {name}1.exr --stats {name}.json"
+        ));
+        dir.must(&format!("{command} --threads 3 -o {name}3.exr"));
+        assert!(
+            dir.read(&format!("{name}1.exr")) == dir.read(&format!("{name}3.exr")),
+            "{name}: threads show"
+        );
+        let stats = dir.json(&format!("{name}.json"));
+        let records = &stats["records"];
+        assert_eq!(records["count"], 60);
+        assert_eq!(records["capacity"], 60);
+        assert!(records["bytes"].as_u64().unwrap() <= 60 * 32 * 32 * 16);
+        assert!(records["refinements"].as_u64().unwrap() > 5);
+        assert!(stats["rays"]["fill"].as_u64().unwrap() > 60 * 32 * 32 * 3 / 4);
+        let seen = &stats["visibility"];
+        let count = |key: &str| seen[key].as_u64().unwrap();
+        assert!(count("answered") > 0, "{name}");
+        assert!(count("traced") < count("queries"), "{name}");
+        let class = if name == "u" { "unbiased" } else { "biased" };
+        assert_eq!(seen["class"], class);
+    }
+}
+
+#[test]
+fn pictures_are_near_exact_ones() {
+    let dir = cornell();
+    let energy = |name: &str, exact: &str| {
+        let run = dir.must(&format!("compare {name}.exr {exact}.exr --json"));
+        let json: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
+        let mean = |key: &str| json[key][0].as_f64().unwrap() + json[key][1].as_f64().unwrap();
+        (
+            mean("mean_a") / mean("mean_b") - 1.0,
+            json["flip"].as_f64().unwrap(),
+        )
+    };
+    dir.must(&format!("{INSTANT} -o e.exr"));
+    dir.must(&format!(
+        "{INSTANT} -o r.exr --visibility records:count=200,steps=50"
+    ));
+    let (change, flip) = energy("r", "e");
+    assert!(change.abs() < 0.03 && flip < 0.06, "{change} {flip}");
+    dir.must(&format!("{PATH} -o pe.exr"));
+    dir.must(&format!(
+        "{PATH} -o pr.exr --secondary records:count=200,steps=50"
+    ));
+    let (change, flip) = energy("pr", "pe");
+    assert!(change.abs() < 0.06 && flip < 0.12, "{change} {flip}");
+}
+
+#[test]
+fn frames_keep_records_and_views_are_written() {
+    let dir = cornell();
+    dir.write(
+        "t.json",
+        r#"[{"frame": 0, "eye": [0, 0.275, 1.0], "target": [0, 0.275, 0], "fov": 40},
+            {"frame": 2, "eye": [0.08, 0.3, 0.92], "target": [0, 0.275, 0], "fov": 40}]"#,
+    );
+    dir.must(&format!(
+        "{INSTANT} --visibility records:{FEW} --camera-path t.json -o f_##.exr --record-views v_## --stats s.json"
+    ));
+    for frame in 0..3 {
+        for what in ["importance", "utility", "correlation", "positions"] {
+            assert!(!dir.read(&format!("v_0{frame}-{what}.png")).is_empty());
+        }
+    }
+    let stats = dir.json("s.json");
+    assert_eq!(stats["records"]["count"], 60);
+    // Twenty steps before the first frame, and 32 before each other.
+    let steps = stats["records"]["refinements"].as_u64().unwrap();
+    assert!((40..=90).contains(&steps), "{steps}");
+}
+
+#[test]
+fn wrong_choices_are_refused() {
+    let dir = cornell();
+    let instant = |options: &str| format!("{INSTANT} -o a.exr --visibility records:{options}");
+    dir.refuses(&instant("count=0"), &["count=0"]);
+    dir.refuses(&instant("count=70000"), &["65534"]);
+    dir.refuses(&instant("resolution=100"), &["resolution=100"]);
+    dir.refuses(&instant("alpha=2"), &["alpha=2"]);
+    dir.refuses(
+        &format!("{} --memory 64MiB", instant("count=4000")),
+        &["largest that fits", "--memory"],
+    );
+    dir.refuses(
+        &format!("{PATH} -o a.exr --visibility records"),
+        &["--integrator instant-radiosity", "--secondary"],
+    );
+    dir.refuses(
+        &format!("{INSTANT} -o a.exr --secondary records"),
+        &["--secondary", "--integrator path"],
+    );
+    dir.refuses(
+        &format!("{PATH} -o a.exr --secondary records --guarantee unbiased"),
+        &["--guarantee", "biased"],
+    );
+    dir.refuses(
+        &format!("{} --guarantee bounded", instant("")),
+        &["--guarantee", "unbiased"],
+    );
+    dir.refuses(
+        &format!("{PATH} -o a.exr --record-views v"),
+        &["--record-views"],
+    );
+    dir.refuses(&format!("{} --shard 0/2", instant("")), &["--shard"]);
+    for bad in [
+        "from=1",
+        "select=best",
+        "lookup=guess",
+        "near=-1",
+        "colour=red",
+        "count",
+    ] {
+        let run = dir.run(&instant(bad));
+        assert_eq!(run.code, Some(2), "{bad}: {}", run.stderr);
+    }
+}
+
+#[test]
+fn a_camera_that_sees_nothing_is_warned_of() {
+    let dir = cornell();
+    let run = dir.must(&format!(
+        "{INSTANT} -o a.exr --visibility records --camera-look 0,0.2,9,0,0.2,20"
+    ));
+    assert!(
+        run.stderr.contains("warning: no place for records"),
+        "{}",
+        run.stderr
+    );
+}
