@@ -46,8 +46,11 @@ fn threads_do_not_show_and_statistics_add_up() {
         assert!(stats["rays"]["fill"].as_u64().unwrap() > 60 * 32 * 32 * 3 / 4);
         let seen = &stats["visibility"];
         let count = |key: &str| seen[key].as_u64().unwrap();
-        assert!(count("answered") > 0, "{name}");
-        assert!(count("traced") < count("queries"), "{name}");
+        // Exact rays at either end of every question leave none without a ray.
+        if name != "m" {
+            assert!(count("answered") > 0, "{name}");
+            assert!(count("traced") < count("queries"), "{name}");
+        }
         let class = if name == "u" { "unbiased" } else { "biased" };
         assert_eq!(seen["class"], class);
     }
@@ -71,12 +74,19 @@ fn pictures_are_near_exact_ones() {
     ));
     let (change, flip) = energy("r", "e");
     assert!(change.abs() < 0.03 && flip < 0.06, "{change} {flip}");
-    dir.must(&format!("{PATH} -o pe.exr"));
+    // Paths are noisy: records must differ less from exact rays than these do from themselves with other random numbers.
+    let path = "render c.glb --size 48x32 --samples 32";
+    dir.must(&format!("{path} -o pe.exr"));
+    dir.must(&format!("{path} --seed 9 -o po.exr"));
     dir.must(&format!(
-        "{PATH} -o pr.exr --secondary records:count=200,steps=50"
+        "{path} -o pr.exr --secondary records:count=200,steps=50"
     ));
+    let (_, noise) = energy("po", "pe");
     let (change, flip) = energy("pr", "pe");
-    assert!(change.abs() < 0.06 && flip < 0.12, "{change} {flip}");
+    assert!(
+        change.abs() < 0.03 && flip < noise,
+        "{change} {flip} {noise}"
+    );
 }
 
 #[test]
