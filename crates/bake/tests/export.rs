@@ -151,13 +151,7 @@ fn engines_find_the_light_of_each_point() {
                 ..AtlasSettings::default()
             },
         ),
-        (
-            Name::Courtyard,
-            AtlasSettings {
-                padding: 1,
-                ..AtlasSettings::default()
-            },
-        ),
+        (Name::Courtyard, AtlasSettings::default()),
     ] {
         let scene = procedural::build(name, Some(2_000), 1);
         let density = if name == Name::Courtyard { 3.0 } else { 12.0 };
