@@ -150,6 +150,18 @@ impl Report {
     }
 
     /// A remark for the reader, shown at once too.
+    /// Notes which of the topics that were asked for the suite does not have.
+    pub fn unknown_topics(&mut self, setting: &Setting, topics: &[&str]) {
+        for topic in &setting.topics {
+            if !topics.contains(&topic.as_str()) {
+                self.note(format!(
+                    "no topic {topic:?}: there are {}",
+                    topics.join(", ")
+                ));
+            }
+        }
+    }
+
     pub fn note(&mut self, text: impl Into<String>) {
         let text = text.into();
         eprintln!("{text}");

@@ -97,14 +97,7 @@ pub fn run(setting: &Setting) -> Report {
         "topic,scene,samples,side,repetition,what,value,unit",
     );
     report.live(&setting.out);
-    for topic in &setting.topics {
-        if !TOPICS.contains(&topic.as_str()) {
-            report.note(format!(
-                "no topic {topic:?}: there are {}",
-                TOPICS.join(", ")
-            ));
-        }
-    }
+    report.unknown_topics(setting, TOPICS);
     let plan = Plan::of(setting);
     report.note(format!(
         "{} threads; pictures of {}x{} (curves and others: parts of it), {:?} samples a pixel, {} repetitions",

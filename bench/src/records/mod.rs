@@ -67,14 +67,7 @@ pub fn run(setting: &Setting) -> Report {
         "topic,scene,repetition,what,value,unit",
     );
     report.live(&setting.out);
-    for topic in &setting.topics {
-        if !TOPICS.contains(&topic.as_str()) {
-            report.note(format!(
-                "no topic {topic:?}: there are {}",
-                TOPICS.join(", ")
-            ));
-        }
-    }
+    report.unknown_topics(setting, TOPICS);
     let plan = Plan::of(setting);
     report.note(format!(
         "{} threads; pictures of {}x{}, {} samples a pixel, {} records at most, {} virtual lights, {} repetitions",
