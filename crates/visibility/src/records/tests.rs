@@ -198,8 +198,8 @@ fn segments_agree_with_rays_up_to_footprints() {
 fn rays_find_surfaces() {
     let world = Boxes::room();
     for (select, lookup, most) in [
-        (Select::Nearest, Lookup::Snap, 0.17),
-        (Select::Probable, Lookup::Snap, 0.3),
+        (Select::Nearest, Lookup::Snap, 0.14),
+        (Select::Probable, Lookup::Snap, 0.24),
         (Select::Nearest, Lookup::March, 0.10),
     ] {
         let cache = placed(
