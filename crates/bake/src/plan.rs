@@ -8,7 +8,7 @@
 use crate::bundle::{self, Directions, Radiance};
 use crate::export::FINISHING_BYTES_PER_TEXEL;
 use crate::gather::Gatherer;
-use crate::rounds::{Bake, Round, RoundKind};
+use crate::rounds::{Bake, GatherKind, Round, RoundKind};
 use crate::sums::Sums;
 use glam::Vec3;
 use occlude_render::job::Job;
@@ -20,8 +20,6 @@ use std::time::Instant;
 pub struct Memory {
     /// While it gathers, without the buffers of bundles.
     pub gathering: u64,
-    /// Buffers that bundles need at least.
-    pub least_buffers: u64,
     /// Buffers of bundles as set.
     pub buffers: u64,
     /// While light maps are finished and written.
@@ -29,11 +27,6 @@ pub struct Memory {
 }
 
 impl Memory {
-    /// The least with which the work can be done.
-    pub fn floor(&self) -> u64 {
-        (self.gathering + self.least_buffers).max(self.writing)
-    }
-
     /// With buffers as they are set.
     pub fn peak(&self) -> u64 {
         (self.gathering + self.buffers).max(self.writing)
@@ -59,7 +52,12 @@ impl Estimate {
 }
 
 /// Samples that are tried.
-const TRIED: usize = 1 << 15;
+const TRIED: usize = 1 << 17;
+
+/// Directions that are tried: for their fragments, and at most, and for about so long.
+const COUNTED: u32 = 2;
+const MOST_TRIED: u32 = 18;
+const TRIED_SECONDS: f64 = 0.4;
 
 /// Prices on the reference machine, nanoseconds of one of two busy cores: a scattered ray with its shading in a scene of one
 /// triangle, and what each doubling of the triangles adds.
@@ -93,14 +91,6 @@ impl Bake<'_> {
             None => 0,
         };
         let threads = rayon::current_num_threads() as u64;
-        let bundles = match self.subject.triangles {
-            Some(_) => {
-                // Two maps of the analysis with their mipmaps; lists of triangles; fragments of a bin and waiting terms, a thread.
-                let analysis = u64::from(self.settings.bundles.analysis).pow(2) * 8 * 4 / 3;
-                analysis + BUNDLE_BYTES + threads * BUNDLE_THREAD_BYTES
-            }
-            None => 0,
-        };
         let largest = self
             .subject
             .texels
@@ -111,10 +101,41 @@ impl Bake<'_> {
         let largest = u64::from(largest.max().unwrap_or(0));
         Memory {
             gathering: state + maps + transport + threads * WORKER_BYTES,
-            least_buffers: bundles,
-            buffers: bundles,
+            buffers: self.buffers(&self.settings.bundles),
             writing: (state + maps + largest * WRITING_BYTES_PER_TEXEL)
                 .max(state + maps + scene_file * SCENE_FILE_COPIES),
+        }
+    }
+
+    fn buffers(&self, settings: &bundle::Settings) -> u64 {
+        let threads = rayon::current_num_threads() as u64;
+        let triangles = self.subject.triangles;
+        triangles.map_or(0, |t| settings.bytes(t.len() as u64, threads))
+    }
+
+    /// The least limit that the work keeps within. `all` makes what the whole process holds out of what this work does. (The larger the
+    /// limit, the larger the buffers that [`bundle::Settings::for_limit`] takes: the least limit that its own buffers fit is found by iteration,
+    /// each step of which adds less than a tenth of the one before.)
+    pub fn floor(&self, memory: &Memory, all: impl Fn(u64) -> u64) -> u64 {
+        let mut limit = 0;
+        loop {
+            let settings = bundle::Settings::for_limit(limit);
+            let held = memory.gathering + self.buffers(&settings);
+            let next = all(held.max(memory.writing));
+            if next <= limit {
+                return limit;
+            }
+            limit = next;
+        }
+    }
+
+    /// Bytes of a texel while light is gathered in rounds, and by paths alone: what every bake of so many texels holds at least.
+    pub fn least_bytes_per_texel(gather: GatherKind) -> u64 {
+        let sums = size_of::<crate::sums::Sum>() as u64;
+        match gather {
+            // The light of two maps, radiance, albedo.
+            GatherKind::Bundles => sums + 2 * size_of::<Vec3>() as u64 + 4 + 6,
+            GatherKind::Path => sums,
         }
     }
 
@@ -190,31 +211,41 @@ impl Bake<'_> {
         (began.elapsed().as_secs_f64() * scale, rays as f64 * scale)
     }
 
-    /// Seconds and fragments of one direction.
+    /// Seconds and fragments of one direction. Seconds come from as many directions as it takes to know them, fragments always from the
+    /// same.
     fn try_bundles(&self, job: &Job) -> (f64, f64) {
         let Some(triangles) = self.subject.triangles else {
             return (0.0, 0.0);
         };
         let radiance = Radiance::new(self.sides(), 1.0, |_| Vec3::ONE);
-        let sums = Sums::new(self.sides(), bundle::unit(1.0, 8));
+        let sums = Sums::new(self.sides(), bundle::unit(1.0, MOST_TRIED));
         let directions = Directions {
             seed: self.settings.seed,
             round: u32::MAX,
         };
-        let began = Instant::now();
-        let stats = bundle::gather(
-            triangles,
-            &radiance,
-            None,
-            &directions,
-            0..1,
-            &self.settings.bundles,
-            job,
-            &sums,
-        );
-        let seconds = began.elapsed().as_secs_f64();
-        let done = (stats.directions as f64).max(1.0);
-        (seconds / done, stats.fragments as f64 / done)
+        let gather = |range: std::ops::Range<u32>| {
+            bundle::gather(
+                triangles,
+                &radiance,
+                None,
+                &directions,
+                range,
+                &self.settings.bundles,
+                job,
+                &sums,
+            )
+        };
+        // The first touches all memory.
+        let counted = gather(0..COUNTED);
+        let fragments = counted.fragments as f64 / (counted.directions as f64).max(1.0);
+        let (mut next, mut seconds) = (COUNTED, 0.0);
+        while next < MOST_TRIED && seconds < TRIED_SECONDS && !job.is_cancelled() {
+            let began = Instant::now();
+            gather(next..next + COUNTED);
+            next += COUNTED;
+            seconds += began.elapsed().as_secs_f64();
+        }
+        (seconds / f64::from((next - COUNTED).max(1)), fragments)
     }
 }
 
@@ -226,9 +257,3 @@ const WRITING_BYTES_PER_TEXEL: u64 = FINISHING_BYTES_PER_TEXEL + 16;
 
 /// The file, its parts decoded, and the file that is written.
 const SCENE_FILE_COPIES: u64 = 3;
-
-/// Lists of the triangles of bins.
-const BUNDLE_BYTES: u64 = 8 << 20;
-
-/// Fragments of a bin and terms on their way, a thread.
-const BUNDLE_THREAD_BYTES: u64 = 12 << 20;

@@ -10,24 +10,22 @@
 //! Every round is a number of *items* (samples a texel or directions), each a pure function of seed, round and number; sums are
 //! integers. So threads, shards, interruptions and the order of work do not show in the result.
 
-use crate::bundle::{self, Directions, Radiance, Sides, Sky, Triangles};
-use crate::gather::{Gatherer, Part, PathSettings, SurfaceSample, placement};
+mod bundles;
+mod paths;
+
+use crate::bundle::{self, Sides, Triangles};
+use crate::gather::Part;
 use crate::noise::Noise;
 use crate::state::{Header, State};
-use crate::sums::{Sums, Unit};
-use crate::texel::{Band, Texels};
-use glam::{Vec2, Vec3};
+use crate::sums::Sums;
+use crate::texel::Texels;
+use glam::Vec3;
 use half::f16;
-use occlude_render::geometry::diffuse_albedo;
 use occlude_render::integrator::World;
 use occlude_render::job::Job;
 use occlude_render::light::Environment;
-use occlude_render::sampling::warp;
-use occlude_visibility::Hit;
 use rayon::prelude::*;
-use std::f32::consts::FRAC_1_PI;
 use std::ops::Range;
-use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 /// How light between surfaces is found.
@@ -200,20 +198,8 @@ pub struct Report {
 /// Texels of a unit of work, about.
 const UNIT_TEXELS: u32 = 4096;
 
-/// Samples of a texel that a pass takes.
-const SAMPLES_TOGETHER: u32 = 16;
-
-/// Samples between two times at rest, about: some seconds.
-const SAMPLES_BETWEEN_RESTS: u64 = 4 << 20;
-
-/// Samples that are traced together.
-const BATCH: usize = 2048;
-
 /// Stand-ins of a unit of work.
 const UNIT_STAND_INS: u32 = 1024;
-
-/// Directions between two looks at the clock and the noise.
-const DIRECTIONS_TOGETHER: u32 = 16;
 
 /// A part of all sides that is sampled together.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -255,7 +241,7 @@ impl<'a> Bake<'a> {
             }
         }
         let albedo = if rounds.iter().any(|r| r.kind == RoundKind::Reflected) {
-            albedo(&subject)
+            bundles::albedo(&subject)
         } else {
             Vec::new()
         };
@@ -268,6 +254,11 @@ impl<'a> Bake<'a> {
             notes,
             albedo,
         }
+    }
+
+    /// Lists of triangles hold at most so many entries, which does not change results.
+    pub fn limit_entries(&mut self, entries: u32) {
+        self.settings.bundles.entries = entries;
     }
 
     /// The rounds.
@@ -398,380 +389,7 @@ impl<'a> Bake<'a> {
             _ => gathered.map(|light| light + direct.copied().unwrap_or(Vec3::ZERO)),
         }
     }
-
-    /// Texels of a patch, covered or not; stand-ins count as one each.
-    pub(crate) fn texels_of(&self, patch: &Patch) -> u64 {
-        match patch {
-            Patch::Rows { page, rows } => {
-                let width = self.subject.texels.atlas.pages[*page as usize].width;
-                u64::from(width) * rows.len() as u64
-            }
-            Patch::StandIns(range) => range.len() as u64,
-        }
-    }
-
-    pub(crate) fn path_settings(&self, round: Round) -> PathSettings {
-        let (part, bounces) = match round.kind {
-            RoundKind::Direct => (Part::Direct, 0),
-            _ if self.settings.part == Part::Direct => (Part::Direct, 0),
-            _ => (self.settings.part, self.settings.bounces),
-        };
-        PathSettings {
-            part,
-            bounces,
-            luminous: self.subject.luminous,
-            reach: self.settings.reach,
-            seed: self.settings.seed,
-        }
-    }
-
-    /// Takes samples of all units.
-    fn sample(
-        &self,
-        round: Round,
-        state: &mut State,
-        deadline: Option<Instant>,
-        noise: Option<f64>,
-        job: &Job,
-        report: &mut Report,
-        at_rest: &mut dyn FnMut(&State),
-    ) -> Ended {
-        let settings = self.path_settings(round);
-        let first = state.header.items.start;
-        let target = state.header.items.len() as u32;
-        let all: u64 = self.patches.iter().map(|patch| self.texels_of(patch)).sum();
-        let already = self.patches.iter().zip(&state.done);
-        let already: u64 = already
-            .map(|(unit, &done)| self.texels_of(unit) * u64::from(done))
-            .sum();
-        job.start_phase(round.name, all.saturating_mul(u64::from(target)));
-        job.advance(already, 0);
-        let gatherers: Mutex<Vec<Gatherer>> = Mutex::default();
-        let brightest = brightest_counted(state.sums.unit(), round.total);
-
-        let mut ended = Ended::Samples;
-        let mut passes = 0;
-        while state.min_done() < target {
-            let end = (state.min_done() / SAMPLES_TOGETHER + 1) * SAMPLES_TOGETHER;
-            let end = end.min(target);
-            let todo: Vec<usize> = (0..self.patches.len())
-                .filter(|&unit| state.done[unit] < end)
-                .collect();
-            let mut slice_start = 0;
-            while slice_start < todo.len() {
-                let (mut slice_end, mut samples) = (slice_start, 0);
-                while slice_end < todo.len() && samples < SAMPLES_BETWEEN_RESTS {
-                    let unit = todo[slice_end];
-                    samples +=
-                        self.texels_of(&self.patches[unit]) * u64::from(end - state.done[unit]);
-                    slice_end += 1;
-                }
-                let done = &state.done;
-                let sums = &state.sums;
-                let finished: Vec<bool> = todo[slice_start..slice_end]
-                    .par_iter()
-                    .map(|&unit| {
-                        if job.is_cancelled() {
-                            return false;
-                        }
-                        let mut gatherer = lock(&gatherers).pop().unwrap_or_default();
-                        let before = gatherer.secondary + gatherer.shadow;
-                        let items = first + done[unit]..first + end;
-                        let finished = self.sample_unit(
-                            &self.patches[unit],
-                            items,
-                            &settings,
-                            brightest,
-                            &mut gatherer,
-                            job,
-                            sums,
-                        );
-                        if finished {
-                            let rays = gatherer.secondary + gatherer.shadow - before;
-                            let samples =
-                                self.texels_of(&self.patches[unit]) * u64::from(end - done[unit]);
-                            job.advance(samples, rays);
-                        }
-                        lock(&gatherers).push(gatherer);
-                        finished
-                    })
-                    .collect();
-                for (&unit, finished) in todo[slice_start..slice_end].iter().zip(finished) {
-                    if finished {
-                        state.done[unit] = end;
-                    }
-                }
-                if job.is_cancelled() {
-                    ended = Ended::Cancel;
-                    break;
-                }
-                slice_start = slice_end;
-                // The pass's last rest comes after its noise is known.
-                if slice_start < todo.len() {
-                    at_rest(state);
-                }
-            }
-            if ended == Ended::Cancel {
-                break;
-            }
-            state.noise.end_batch(&state.sums);
-            at_rest(state);
-            passes += 1;
-            if end < target {
-                if deadline.is_some_and(|deadline| Instant::now() >= deadline) {
-                    ended = Ended::Time;
-                    break;
-                }
-                if passes >= 4 && noise.is_some_and(|limit| state.noise.relative_error() <= limit) {
-                    ended = Ended::Noise;
-                    break;
-                }
-            }
-        }
-        for gatherer in gatherers
-            .into_inner()
-            .unwrap_or_else(PoisonError::into_inner)
-        {
-            report.secondary += gatherer.secondary;
-            report.shadow += gatherer.shadow;
-        }
-        ended
-    }
-
-    /// Takes samples `items` of a unit; `false`: cancelled, and nothing was added.
-    fn sample_unit(
-        &self,
-        patch: &Patch,
-        items: Range<u32>,
-        settings: &PathSettings,
-        brightest: f32,
-        gatherer: &mut Gatherer,
-        job: &Job,
-        sums: &Sums,
-    ) -> bool {
-        let mut samples = Vec::new();
-        self.place(patch, &items, settings, &mut samples);
-        let mut irradiance = vec![Vec3::ZERO; samples.len()];
-        for (samples, irradiance) in samples.chunks(BATCH).zip(irradiance.chunks_mut(BATCH)) {
-            if job.is_cancelled() {
-                return false;
-            }
-            gatherer.gather(&self.subject.world, settings, samples, irradiance);
-        }
-        let mut start = 0;
-        while start < samples.len() {
-            let run = sums.run_of(samples[start].side);
-            let mut locked = sums.lock(run);
-            while start < samples.len() && sums.run_of(samples[start].side) == run {
-                let radiance = irradiance[start] * FRAC_1_PI;
-                if radiance.is_finite() {
-                    locked.add(
-                        samples[start].side,
-                        1.0,
-                        radiance.min(Vec3::splat(brightest)),
-                    );
-                }
-                start += 1;
-            }
-        }
-        true
-    }
-
-    /// The samples of a unit, side by side.
-    pub(crate) fn place(
-        &self,
-        patch: &Patch,
-        items: &Range<u32>,
-        settings: &PathSettings,
-        samples: &mut Vec<SurfaceSample>,
-    ) {
-        let texels = self.subject.texels;
-        let sides = self.subject.sides();
-        let mut push = |front: u32, point: &dyn Fn(Vec2) -> Hit| {
-            for number in items.clone() {
-                samples.push(SurfaceSample {
-                    point: point(placement(settings.seed, front, number)),
-                    side: front,
-                    number,
-                    back: false,
-                });
-            }
-            let Some(back) = sides.and_then(|sides| sides.back_of(front)) else {
-                return;
-            };
-            for number in items.clone() {
-                samples.push(SurfaceSample {
-                    point: point(placement(settings.seed, back, number)),
-                    side: back,
-                    number,
-                    back: true,
-                });
-            }
-        };
-        match patch {
-            Patch::Rows { page, rows } => {
-                let band = texels.band(*page, rows.clone());
-                for i in 0..band.len() {
-                    push(band.texel(i), &|at| texels.sample(&band, i, at));
-                }
-            }
-            Patch::StandIns(range) => {
-                let Some(sides) = sides else { return };
-                for stand_in in range.clone() {
-                    let [instance, primitive] = sides.stand_ins()[stand_in as usize];
-                    push(sides.texels() + stand_in, &|at| {
-                        let at = warp::triangle(at);
-                        Hit {
-                            t: 0.0,
-                            u: at.x,
-                            v: at.y,
-                            instance,
-                            primitive,
-                        }
-                    });
-                }
-            }
-        }
-    }
-
-    /// Gathers directions by bundles.
-    fn bundle(
-        &self,
-        round: Round,
-        state: &mut State,
-        deadline: Option<Instant>,
-        noise: Option<f64>,
-        job: &Job,
-        report: &mut Report,
-        at_rest: &mut dyn FnMut(&State),
-    ) -> Ended {
-        let Some(triangles) = self.subject.triangles else {
-            return Ended::Samples;
-        };
-        let target = state.header.items.len() as u32;
-        job.start_phase(round.name, u64::from(target));
-        job.advance(u64::from(state.done[0]), 0);
-        let radiance = self.radiance(round, state);
-        let environment = |towards: Vec3| {
-            self.subject
-                .sky
-                .map_or(Vec3::ZERO, |(sky, _)| sky.radiance(towards))
-        };
-        // Reflected light alone is wanted: the last round leaves the sky out.
-        let no_sky = self.settings.part == Part::Indirect && self.is_last(state);
-        let sky: Option<Sky> = match self.subject.sky {
-            Some(_) if !no_sky => Some(&environment),
-            _ => None,
-        };
-        let directions = Directions {
-            seed: self.settings.seed,
-            round: state.header.round,
-        };
-        let first = state.header.items.start;
-        while state.done[0] < target {
-            let end = (state.done[0] / DIRECTIONS_TOGETHER + 1) * DIRECTIONS_TOGETHER;
-            let range = first + state.done[0]..first + end.min(target);
-            let stats = bundle::gather(
-                triangles,
-                &radiance,
-                sky,
-                &directions,
-                range,
-                &self.settings.bundles,
-                job,
-                &state.sums,
-            );
-            state.done[0] += stats.directions as u32;
-            report.bundles += stats;
-            if job.is_cancelled() {
-                return Ended::Cancel;
-            }
-            state.noise.end_batch(&state.sums);
-            at_rest(state);
-            if state.done[0] < target {
-                if deadline.is_some_and(|deadline| Instant::now() >= deadline) {
-                    return Ended::Time;
-                }
-                if noise.is_some_and(|limit| state.noise.relative_error() <= limit) {
-                    return Ended::Noise;
-                }
-            }
-        }
-        Ended::Samples
-    }
-
-    /// What every side sends out in a round of bundles.
-    fn radiance(&self, round: Round, state: &State) -> Radiance {
-        let brightest = self.brightest(&state.direct, &state.previous);
-        Radiance::new(state.header.sides, brightest, |side| match round.kind {
-            RoundKind::Reflected => self.reflected(&state.direct, &state.previous, side),
-            _ => Vec3::ZERO,
-        })
-    }
-
-    /// Radiance that a side reflects of what the rounds before have brought.
-    fn reflected(&self, direct: &[Vec3], previous: &[Vec3], side: u32) -> Vec3 {
-        let arrived = if previous.is_empty() {
-            direct
-        } else {
-            previous
-        };
-        let front = self
-            .subject
-            .sides()
-            .map_or(side, |sides| sides.front_of(side));
-        let albedo = self.albedo.get(front as usize).copied().unwrap_or_default();
-        let albedo = Vec3::from_array(albedo.map(f16::to_f32));
-        albedo * arrived.get(side as usize).copied().unwrap_or(Vec3::ZERO) * FRAC_1_PI
-    }
-
-    /// The brightest radiance that bundles meet.
-    fn brightest(&self, direct: &[Vec3], previous: &[Vec3]) -> f32 {
-        let surfaces = if self.albedo.is_empty() {
-            0.0
-        } else {
-            (0..self.sides())
-                .into_par_iter()
-                .map(|side| self.reflected(direct, previous, side).max_element())
-                .reduce(|| 0.0, f32::max)
-        };
-        let sky = self.subject.sky.map_or(0.0, |(_, brightest)| brightest);
-        surfaces.max(sky).max(f32::MIN_POSITIVE * 1e20)
-    }
-
-    /// The unit of sums of samples: found from a few of them.
-    fn path_unit(&self, round: u32) -> Unit {
-        let round = self.rounds[round as usize];
-        let settings = self.path_settings(round);
-        let step = self.patches.len().div_ceil(PILOT_UNITS).max(1);
-        let brightest = self
-            .patches
-            .par_iter()
-            .step_by(step)
-            .map(|patch| {
-                let mut samples = Vec::new();
-                self.place(patch, &(u32::MAX - 1..u32::MAX), &settings, &mut samples);
-                let every = samples.len().div_ceil(BATCH).max(1);
-                let samples: Vec<_> = samples.into_iter().step_by(every).collect();
-                let mut irradiance = vec![Vec3::ZERO; samples.len()];
-                let mut gatherer = Gatherer::default();
-                gatherer.gather(&self.subject.world, &settings, &samples, &mut irradiance);
-                let radiance = irradiance.iter().map(|e| e.max_element() * FRAC_1_PI);
-                radiance.filter(|r| r.is_finite()).fold(0.0, f32::max)
-            })
-            .reduce(|| 0.0, f32::max);
-        Unit::new(
-            (brightest * HEADROOM).max(f32::MIN_POSITIVE * 1e20),
-            round.total.min(MOST_COUNTED) as f32,
-        )
-    }
 }
-
-/// Units that the first look at brightness takes.
-const PILOT_UNITS: usize = 64;
-
-/// Single samples may be this much brighter than the brightest of the first look; what is beyond is cut.
-const HEADROOM: f32 = 1024.0;
 
 /// Sums have room for this many items; work without a fixed number ends before.
 pub const MOST_COUNTED: u32 = 1 << 18;
@@ -780,15 +398,6 @@ impl<'a> Subject<'a> {
     fn sides(&self) -> Option<&'a Sides> {
         self.triangles.map(Triangles::sides)
     }
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// The largest radiance of which sums in this unit hold so many terms.
-fn brightest_counted(unit: Unit, terms: u32) -> f32 {
-    (2f64.powi(62) / (unit.radiance * f64::from(terms.min(MOST_COUNTED)))) as f32
 }
 
 /// The irradiance of all sides; 0 where nothing is known.
@@ -802,51 +411,4 @@ fn develop(sums: &Sums, map: &mut [Vec3]) {
         }
         rest = after;
     }
-}
-
-/// Lambert albedo of every front.
-fn albedo(subject: &Subject) -> Vec<[f16; 3]> {
-    let Some(sides) = subject.sides() else {
-        return Vec::new();
-    };
-    let pack = |albedo: Vec3| {
-        albedo
-            .clamp(Vec3::ZERO, Vec3::ONE)
-            .to_array()
-            .map(f16::from_f32)
-    };
-    let mut fronts = vec![[f16::ZERO; 3]; sides.fronts_count() as usize];
-    let (texels, stand_ins) = fronts.split_at_mut(sides.texels() as usize);
-    let atlas = subject.texels.atlas;
-    let mut rest = texels;
-    for (page, size) in atlas.pages.iter().enumerate() {
-        let (here, after) = rest.split_at_mut(size.texels() as usize);
-        rest = after;
-        let rows = here.par_chunks_mut(size.width.max(1) as usize).enumerate();
-        rows.for_each(|(y, row)| {
-            let band: Band = subject.texels.band(page as u32, y as u32..y as u32 + 1);
-            let first = size.texel(0, y as u32);
-            for i in 0..band.len() {
-                let reflection = subject.texels.reflection(&band, i);
-                row[(band.texel(i) - first) as usize] = pack(reflection.albedo);
-            }
-        });
-    }
-    let geometry = subject.world.geometry;
-    stand_ins
-        .par_iter_mut()
-        .zip(sides.stand_ins())
-        .for_each(|(value, &[instance, primitive])| {
-            let mesh = geometry.pose.instances[instance as usize].mesh;
-            let mesh = &geometry.scene.meshes[mesh as usize];
-            let third = 1.0 / 3.0;
-            *value = pack(diffuse_albedo(
-                geometry.scene,
-                mesh,
-                primitive,
-                third,
-                third,
-            ));
-        });
-    fronts
 }

@@ -173,7 +173,8 @@ pub fn build(
     for (c, (class, laid)) in classes.iter().zip(laid).enumerate() {
         let (layout, problem) = laid?;
         built.problems.extend(problem);
-        let Some(layout) = layout else { continue };
+        let Some(mut layout) = layout else { continue };
+        layout.texels_per_metre = class.texels_per_metre;
         for &instance in &class.instances {
             atlas.placements[instance as usize] = Some(Placement {
                 layout: atlas.layouts.len() as u32,

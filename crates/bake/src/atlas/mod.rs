@@ -71,6 +71,8 @@ pub struct Layout {
     /// The tallest triangle of every piece, rows.
     tallest: Vec<u32>,
     chart_count: u32,
+    /// The density that was asked for, texels a metre of the world; 0: unknown. Small charts are denser: none has less than a texel.
+    pub texels_per_metre: f32,
 }
 
 impl Layout {

@@ -50,9 +50,12 @@ pub(super) struct ScanScatter {
 }
 
 impl ScanScatter {
+    /// Bytes of a fragment: as it came, its line, and in its place.
+    pub const NODE_BYTES: u64 = 20;
+
     /// Bytes for `room` fragments and `lines` lines.
     pub fn bytes(room: u64, lines: u64) -> u64 {
-        room * 20 + lines * 4 + 1024
+        room * Self::NODE_BYTES + lines * 4 + 1024
     }
 
     /// Room for so many fragments; memory is taken as they come.

@@ -102,43 +102,46 @@ impl Default for Settings {
 impl Settings {
     /// Bytes that gathering holds at most, beside triangles, radiance and sums, on so many threads.
     pub fn bytes(&self, triangles: u64, threads: u64) -> u64 {
+        let entries = u64::from(self.entries).min(4 * triangles + u64::from(LEAST_ENTRIES));
+        self.bytes_without_entries(threads) + Bins::ENTRY_BYTES * entries
+    }
+
+    fn bytes_without_entries(&self, threads: u64) -> u64 {
         let (lines, nodes) = (u64::from(self.lines).pow(2), u64::from(self.nodes));
         let fragments = match self.layout {
             Layout::ScanScatter => threads * ScanScatter::bytes(nodes / threads.max(1), BIN_LINES),
             Layout::LinkedList => threads * LinkedList::bytes(nodes, lines),
         };
-        let entries = u64::from(self.entries).min(4 * triangles + (1 << 16));
-        Maps::bytes(self.analysis)
-            + Bins::ENTRY_BYTES * entries
-            + fragments
-            + threads * Exchange::BYTES
+        Maps::bytes(self.analysis) + fragments + threads * Exchange::BYTES + TILING_BYTES
     }
 
-    /// The fastest settings that hold at most `bytes` bytes so; the smallest there are if that is too few.
-    pub fn within(bytes: u64, triangles: u64, threads: u64) -> Self {
+    /// The settings for a process that may hold `limit` bytes in all. Whatever else it holds, the nodes take a sixteenth and the analysis
+    /// a thirty-second of it, so that the same limit cuts the same tiles on any machine and with any number of threads. Entries
+    /// change no results: [`Settings::entries_within`] says how many fit.
+    pub fn for_limit(limit: u64) -> Self {
         let mut settings = Self::default();
-        settings.entries = settings
-            .entries
-            .min((4 * triangles + (1 << 16)).min(1 << 30) as u32);
-        while settings.bytes(triangles, threads) > bytes {
-            let (entries, nodes) = (settings.entries, settings.nodes);
-            if entries > LEAST_ENTRIES && (entries >= nodes || nodes <= LEAST_NODES) {
-                settings.entries = (entries / 2).max(LEAST_ENTRIES);
-            } else if nodes > LEAST_NODES {
-                settings.nodes = (nodes / 2).max(LEAST_NODES);
-            } else if settings.analysis > 256 {
-                settings.analysis /= 2;
-            } else {
-                break;
-            }
+        let nodes = (limit / 16 / ScanScatter::NODE_BYTES).min(u64::from(settings.nodes)) as u32;
+        settings.nodes = nodes.max(LEAST_NODES);
+        while settings.analysis > LEAST_ANALYSIS && Maps::bytes(settings.analysis) > limit / 32 {
+            settings.analysis /= 2;
         }
+        settings.entries = LEAST_ENTRIES;
         settings
+    }
+
+    /// How many entries fit if gathering may hold `bytes` bytes.
+    pub fn entries_within(&self, bytes: u64, threads: u64) -> u32 {
+        let left = bytes.saturating_sub(self.bytes_without_entries(threads)) / Bins::ENTRY_BYTES;
+        left.clamp(u64::from(LEAST_ENTRIES), u64::from(Self::default().entries)) as u32
     }
 }
 
 /// With fewer, most of the time goes into doing things again.
 const LEAST_ENTRIES: u32 = 1 << 16;
 const LEAST_NODES: u32 = 1 << 15;
+const LEAST_ANALYSIS: u32 = 256;
+/// Tiles, their bins, and the grid that finds them.
+const TILING_BYTES: u64 = 4 << 20;
 /// Lines of a bin.
 const BIN_LINES: u64 = (bins::BIN * bins::BIN) as u64;
 

@@ -201,7 +201,10 @@ impl<'a> Triangles<'a> {
                     stand_in_lot,
                 );
             }
-            triangles.bound_importance(number);
+            let placement = atlas.placements.get(number).copied().flatten();
+            let density =
+                placement.map_or(0.0, |p| atlas.layouts[p.layout as usize].texels_per_metre);
+            triangles.bound_importance(number, density);
         }
         let runs = triangles.sides.fronts_count().div_ceil(BACK_RUN);
         triangles.number_backs((0..runs).map(|_| false));
@@ -264,9 +267,17 @@ impl<'a> Triangles<'a> {
         }
     }
 
-    /// Slivers whose chart has collapsed need lines as their neighbours do, and no single one may stretch the range of weights.
-    fn bound_importance(&mut self, instance: usize) {
+    /// Bounds the importance of an instance's triangles around what its density asks for.
+    ///
+    /// From below: slivers whose chart has collapsed need lines as their neighbours do, and no single one may stretch the range of
+    /// weights. From above: no chart has less than a texel, so that those of screws and slivers are thousands of times denser than was asked
+    /// for, and a line through any of them is a line through everything else behind. Errors count by the area that shows
+    /// them, so the best lines for the time go with the square root of the density (the variance of a texel of area `A` is as `1 / (I A)`, its
+    /// weight as `A`, the cost of its lines as `I A`; the sum of costs and errors is least where `I` is as `A^(-1/2)`).
+    fn bound_importance(&mut self, instance: usize, texels_per_metre: f32) {
         const LEAST_SHARE: f32 = 1.0 / 16.0;
+        // Beyond it nearly all lines would be for what nobody can see.
+        const MOST_SHARE: f32 = 16.0;
         let range = self.firsts[instance] as usize..self.firsts[instance + 1] as usize;
         let area = |number: usize| {
             let block = &self.blocks[number / LANES];
@@ -275,20 +286,28 @@ impl<'a> Triangles<'a> {
             let (a, b, c) = (corner(0), corner(1), corner(2));
             f64::from(0.5 * (b - a).cross(c - a).length())
         };
-        let (mut world, mut texels) = (0.0, 0.0);
-        for number in range.clone() {
-            world += area(number);
-            texels += area(number) * f64::from(self.importance[number]);
+        let areas: Vec<f64> = range.clone().map(area).collect();
+        let sum = |importance: &[f32]| -> f64 {
+            let terms = areas.iter().zip(importance);
+            terms.map(|(area, &i)| area * f64::from(i)).sum()
+        };
+        let usual = if texels_per_metre > 0.0 {
+            texels_per_metre * texels_per_metre
+        } else {
+            (sum(&self.importance[range.clone()]) / areas.iter().sum::<f64>()) as f32
+        };
+        if !(usual.is_finite() && usual > 0.0) {
+            return;
         }
-        self.needed += texels;
-        let mean = (texels / world) as f32;
-        if mean.is_finite() && mean > 0.0 {
-            let least = mean * LEAST_SHARE;
-            for importance in &mut self.importance[range] {
-                *importance = importance.max(least);
-            }
-            self.largest_area = self.largest_area.max(1.0 / least);
+        let least = usual * LEAST_SHARE;
+        for importance in &mut self.importance[range.clone()] {
+            let law = (*importance * usual)
+                .sqrt()
+                .clamp(usual, usual * MOST_SHARE);
+            *importance = importance.min(law).max(least);
         }
+        self.needed += sum(&self.importance[range]);
+        self.largest_area = self.largest_area.max(1.0 / least);
     }
 
     /// Numbers the backs of these runs of fronts.

@@ -15,6 +15,7 @@ pub use manifest::{Manifest, NodeEntry, PageEntry};
 
 use crate::atlas::{Atlas, Block};
 use crate::finish::denoise::{DenoiseSettings, denoise};
+use crate::finish::orphans::adopt;
 use crate::finish::seams::{Stitched, stitch};
 use crate::finish::{Canvas, LEAST_VALIDITY};
 use crate::texel::Texels;
@@ -137,6 +138,8 @@ pub struct Exported {
     pub manifest: Manifest,
     /// Texels that took the values of valid neighbours.
     pub filled: u64,
+    /// Texels of charts about which nothing is known, which took the light of what is near in the world.
+    pub adopted: u64,
     /// Seams that were closed.
     pub stitched: Stitched,
 }
@@ -195,6 +198,7 @@ pub fn write(
                 }
             }
             exported.filled += canvas.fill_invalid();
+            exported.adopted += adopt(texels, page, &mut canvas);
             if let Some(settings) = &settings.denoise {
                 denoise(&mut canvas, settings);
             }

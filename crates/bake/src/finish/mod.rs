@@ -1,10 +1,11 @@
 //! What is done to gathered light before it is written: invalid texels are filled, noise is smoothed, seams are closed, gutters are
 //! filled.
 //!
-//! The order matters: [`Canvas::fill_invalid`], [`denoise`](denoise::denoise), [`Canvas::dilate`], [`stitch`](seams::stitch). Nothing but
+//! The order matters: [`Canvas::fill_invalid`], [`adopt`](orphans::adopt), [`denoise`](denoise::denoise), [`Canvas::dilate`], [`stitch`](seams::stitch). Nothing but
 //! stitching mixes charts, so light does not leak from one to another.
 
 pub mod denoise;
+pub mod orphans;
 pub mod seams;
 
 use crate::texel::{Fragment, Texels};

@@ -11,7 +11,7 @@ pub mod reflect;
 pub mod validity;
 
 use crate::atlas::{Atlas, Layout, Rectangle};
-use glam::{UVec2, Vec2};
+use glam::{UVec2, Vec2, Vec3};
 use occlude_render::geometry::WorldTriangle;
 use occlude_scene::{Pose, Scene};
 use occlude_visibility::Hit;
@@ -265,6 +265,17 @@ impl<'a> Texels<'a> {
             polygon.centroid().unwrap_or(corners[0])
         };
         self.hit(&best.1, corners, at)
+    }
+
+    /// Where the point that stands for the `i`-th texel of a band is in the world, and the triangle's normal there.
+    pub(crate) fn world_place(&self, band: &Band, i: usize) -> (Vec3, Vec3) {
+        let hit = self.representative(band, i);
+        let world = WorldTriangle::new(self.scene, self.pose, hit.instance, hit.primitive);
+        let [a, b, c] = world.corners;
+        (
+            a + (b - a) * hit.u + (c - a) * hit.v,
+            world.front_cross().normalize_or_zero(),
+        )
     }
 
     /// Square metres of the world that the `i`-th texel of a band covers.

@@ -85,13 +85,26 @@ fn prepared<T>(
     if let Some(limit) = context.common.memory {
         // What is sure to be too much is refused before hierarchies are built.
         let triangles = crate::inspect::counts(&loaded.scene).triangles;
+        let kind = match work.gather {
+            GatherName::Bundles => GatherKind::Bundles,
+            GatherName::Auto | GatherName::Path => GatherKind::Path,
+        };
         let least = stats::resident_memory()
             + triangles * LEAST_BYTES_PER_TRIANGLE
-            + u64::from(built.atlas.texels()) * LEAST_BYTES_PER_TEXEL;
-        if least > limit {
-            return Err(too_little_memory(least));
+            + u64::from(built.atlas.texels()) * Bake::least_bytes_per_texel(kind);
+        if least.max(stats::peak_memory()) > limit {
+            return Err(too_little_memory(least.max(stats::peak_memory())));
         }
     }
+    let limit = context.common.memory;
+    // The buffers of bundles while not all is there: half of what is left.
+    let entries = |settings: &bundle::Settings| match limit {
+        Some(limit) => {
+            let left = limit.saturating_sub(stats::resident_memory()) / 2;
+            settings.entries_within(left, rayon::current_num_threads() as u64)
+        }
+        None => settings.entries,
+    };
     let texels = Texels::new(&loaded.scene, &pose, &built.atlas);
     let (geometry, mut triangles) = context.phase("build", |context| {
         let geometry = Geometry::new(&loaded.scene, &pose, &BuildOptions::default())
@@ -99,7 +112,8 @@ fn prepared<T>(
         let mut triangles = (work.gather != GatherName::Path && work.light != LightPart::Ao)
             .then(|| Triangles::new(&loaded.scene, &pose, &built.atlas));
         if let Some(triangles) = &mut triangles {
-            let settings = bundle::Settings::default();
+            let mut settings = bundle_settings(&built.atlas, limit);
+            settings.entries = entries(&settings);
             triangles.find_backs(context.common.seed, &settings, &context.job);
         }
         Ok::<_, CliError>((geometry, triangles))
@@ -128,12 +142,9 @@ fn prepared<T>(
             sky: sky.even.as_ref().map(|(sky, brightest)| (sky, *brightest)),
             luminous: sky.luminous,
         };
-        let tried = Bake::new(
-            subject,
-            settings(work, &built.atlas, gather, seed),
-            0,
-            String::new(),
-        );
+        let mut settings = settings(work, &built.atlas, gather, seed, limit);
+        settings.bundles.entries = entries(&settings.bundles);
+        let tried = Bake::new(subject, settings, 0, String::new());
         let job = context.job.clone();
         let estimate = context.phase("plan", |_| tried.estimate(&job));
         let better = best.as_ref().is_none_or(|(_, best)| {
@@ -163,7 +174,7 @@ fn prepared<T>(
         ));
     }
     let fingerprint = fingerprint(work, &loaded, &pose, &built.atlas, gather, context);
-    let bake = Bake::new(
+    let mut bake = Bake::new(
         Subject {
             world: World {
                 geometry: &geometry,
@@ -174,13 +185,19 @@ fn prepared<T>(
             sky: sky.even.as_ref().map(|(sky, brightest)| (sky, *brightest)),
             luminous: sky.luminous,
         },
-        settings(work, &built.atlas, gather, seed),
+        settings(work, &built.atlas, gather, seed, limit),
         fingerprint,
         notes()?,
     );
     let (now, so_far) = (stats::resident_memory(), stats::peak_memory());
     let memory = bake.memory(std::fs::metadata(&work.scene).map_or(0, |data| data.len()));
     let with = |more: u64| so_far.max(now + more + more / 16 + SLACK_BYTES);
+    if let Some(limit) = limit {
+        let left = limit.saturating_sub(now + memory.gathering + SLACK_BYTES);
+        let settings = bundle_settings(&built.atlas, Some(limit));
+        let entries = settings.entries_within(left / 17 * 16, rayon::current_num_threads() as u64);
+        bake.limit_entries(entries);
+    }
     let setup = Setup {
         loaded: &loaded,
         originals: &originals,
@@ -191,15 +208,14 @@ fn prepared<T>(
         gather,
         fingerprint,
         estimate,
-        floor: with(memory.floor()),
+        floor: bake.floor(&memory, with),
         peak: with(memory.peak()),
     };
     then(&setup, &bake, context)
 }
 
-/// Hierarchy and flattened scene, a triangle; sums, a texel.
+/// Hierarchy and flattened scene, a triangle.
 const LEAST_BYTES_PER_TRIANGLE: u64 = 120;
-const LEAST_BYTES_PER_TEXEL: u64 = 32;
 
 fn too_little_memory(needed: u64) -> CliError {
     CliError::input(
@@ -313,6 +329,12 @@ pub fn plan(args: &PlanArgs, context: &mut Context) -> Result<(), CliError> {
             .get("plan")
             .copied()
             .unwrap_or(0.0);
+        // A bake that chooses tries, too.
+        let tried = if args.work.gather == GatherName::Auto {
+            0.0
+        } else {
+            tried
+        };
         let so_far = context.began().elapsed().as_secs_f64() - tried;
         let atlas = &setup.built.atlas;
         let texels = u64::from(atlas.texels());
@@ -619,7 +641,13 @@ impl<'a> Saver<'a> {
     }
 }
 
-fn settings(work: &WorkArgs, atlas: &Atlas, gather: GatherKind, seed: u64) -> Settings {
+fn settings(
+    work: &WorkArgs,
+    atlas: &Atlas,
+    gather: GatherKind,
+    seed: u64,
+    limit: Option<u64>,
+) -> Settings {
     Settings {
         gather,
         part: match work.light {
@@ -632,13 +660,18 @@ fn settings(work: &WorkArgs, atlas: &Atlas, gather: GatherKind, seed: u64) -> Se
         directions: work.total_directions().min(MOST_COUNTED),
         reach: work.ao_distance.unwrap_or(f32::INFINITY),
         seed,
-        bundles: bundle::Settings {
-            // As many pixels as texels: a finer analysis costs more than what it knows is worth.
-            analysis: (f64::from(atlas.texels()).sqrt() as u32)
-                .next_power_of_two()
-                .clamp(LEAST_ANALYSIS, bundle::Settings::default().analysis),
-            ..bundle::Settings::default()
-        },
+        bundles: bundle_settings(atlas, limit),
+    }
+}
+
+/// How bundles are cut into tiles: a matter of the texels and of the memory limit alone.
+fn bundle_settings(atlas: &Atlas, limit: Option<u64>) -> bundle::Settings {
+    let settings = limit.map_or_else(bundle::Settings::default, bundle::Settings::for_limit);
+    // As many pixels as texels: a finer analysis costs more than what it knows is worth.
+    let useful = (f64::from(atlas.texels()).sqrt() as u32).next_power_of_two();
+    bundle::Settings {
+        analysis: useful.max(LEAST_ANALYSIS).min(settings.analysis),
+        ..settings
     }
 }
 
@@ -658,8 +691,13 @@ fn fingerprint(
         "{:?}",
         (
             VERSION,
-            settings(work, atlas, gather, context.common.seed),
-            context.common.memory,
+            settings(
+                work,
+                atlas,
+                gather,
+                context.common.seed,
+                context.common.memory
+            ),
             work.texels_per_metre,
             work.pages_max,
             &work.select,

@@ -1,0 +1,171 @@
+//! Rounds of bundles: what surfaces and sky send along parallel lines.
+
+use super::{Bake, Ended, Report, Round, RoundKind, Subject};
+use crate::bundle::{self, Directions, Radiance, Sky};
+use crate::gather::Part;
+use crate::state::State;
+use crate::texel::Band;
+use glam::Vec3;
+use half::f16;
+use occlude_render::geometry::diffuse_albedo;
+use occlude_render::job::Job;
+use rayon::prelude::*;
+use std::f32::consts::FRAC_1_PI;
+use std::time::Instant;
+
+/// Directions between two looks at the clock and the noise.
+const DIRECTIONS_TOGETHER: u32 = 16;
+
+impl Bake<'_> {
+    /// Gathers directions by bundles.
+    pub(super) fn bundle(
+        &self,
+        round: Round,
+        state: &mut State,
+        deadline: Option<Instant>,
+        noise: Option<f64>,
+        job: &Job,
+        report: &mut Report,
+        at_rest: &mut dyn FnMut(&State),
+    ) -> Ended {
+        let Some(triangles) = self.subject.triangles else {
+            return Ended::Samples;
+        };
+        let target = state.header.items.len() as u32;
+        job.start_phase(round.name, u64::from(target));
+        job.advance(u64::from(state.done[0]), 0);
+        let radiance = self.radiance(round, state);
+        let environment = |towards: Vec3| {
+            self.subject
+                .sky
+                .map_or(Vec3::ZERO, |(sky, _)| sky.radiance(towards))
+        };
+        // Reflected light alone is wanted: the last round leaves the sky out.
+        let no_sky = self.settings.part == Part::Indirect && self.is_last(state);
+        let sky: Option<Sky> = match self.subject.sky {
+            Some(_) if !no_sky => Some(&environment),
+            _ => None,
+        };
+        let directions = Directions {
+            seed: self.settings.seed,
+            round: state.header.round,
+        };
+        let first = state.header.items.start;
+        while state.done[0] < target {
+            let end = (state.done[0] / DIRECTIONS_TOGETHER + 1) * DIRECTIONS_TOGETHER;
+            let range = first + state.done[0]..first + end.min(target);
+            let stats = bundle::gather(
+                triangles,
+                &radiance,
+                sky,
+                &directions,
+                range,
+                &self.settings.bundles,
+                job,
+                &state.sums,
+            );
+            state.done[0] += stats.directions as u32;
+            report.bundles += stats;
+            if job.is_cancelled() {
+                return Ended::Cancel;
+            }
+            state.noise.end_batch(&state.sums);
+            at_rest(state);
+            if state.done[0] < target {
+                if deadline.is_some_and(|deadline| Instant::now() >= deadline) {
+                    return Ended::Time;
+                }
+                if noise.is_some_and(|limit| state.noise.relative_error() <= limit) {
+                    return Ended::Noise;
+                }
+            }
+        }
+        Ended::Samples
+    }
+
+    /// What every side sends out in a round of bundles.
+    fn radiance(&self, round: Round, state: &State) -> Radiance {
+        let brightest = self.brightest(&state.direct, &state.previous);
+        Radiance::new(state.header.sides, brightest, |side| match round.kind {
+            RoundKind::Reflected => self.reflected(&state.direct, &state.previous, side),
+            _ => Vec3::ZERO,
+        })
+    }
+
+    /// Radiance that a side reflects of what the rounds before have brought.
+    fn reflected(&self, direct: &[Vec3], previous: &[Vec3], side: u32) -> Vec3 {
+        let arrived = if previous.is_empty() {
+            direct
+        } else {
+            previous
+        };
+        let front = self
+            .subject
+            .sides()
+            .map_or(side, |sides| sides.front_of(side));
+        let albedo = self.albedo.get(front as usize).copied().unwrap_or_default();
+        let albedo = Vec3::from_array(albedo.map(f16::to_f32));
+        albedo * arrived.get(side as usize).copied().unwrap_or(Vec3::ZERO) * FRAC_1_PI
+    }
+
+    /// The brightest radiance that bundles meet.
+    pub(super) fn brightest(&self, direct: &[Vec3], previous: &[Vec3]) -> f32 {
+        let surfaces = if self.albedo.is_empty() {
+            0.0
+        } else {
+            (0..self.sides())
+                .into_par_iter()
+                .map(|side| self.reflected(direct, previous, side).max_element())
+                .reduce(|| 0.0, f32::max)
+        };
+        let sky = self.subject.sky.map_or(0.0, |(_, brightest)| brightest);
+        surfaces.max(sky).max(f32::MIN_POSITIVE * 1e20)
+    }
+}
+
+/// Lambert albedo of every front.
+pub(super) fn albedo(subject: &Subject) -> Vec<[f16; 3]> {
+    let Some(sides) = subject.sides() else {
+        return Vec::new();
+    };
+    let pack = |albedo: Vec3| {
+        albedo
+            .clamp(Vec3::ZERO, Vec3::ONE)
+            .to_array()
+            .map(f16::from_f32)
+    };
+    let mut fronts = vec![[f16::ZERO; 3]; sides.fronts_count() as usize];
+    let (texels, stand_ins) = fronts.split_at_mut(sides.texels() as usize);
+    let atlas = subject.texels.atlas;
+    let mut rest = texels;
+    for (page, size) in atlas.pages.iter().enumerate() {
+        let (here, after) = rest.split_at_mut(size.texels() as usize);
+        rest = after;
+        let rows = here.par_chunks_mut(size.width.max(1) as usize).enumerate();
+        rows.for_each(|(y, row)| {
+            let band: Band = subject.texels.band(page as u32, y as u32..y as u32 + 1);
+            let first = size.texel(0, y as u32);
+            for i in 0..band.len() {
+                let reflection = subject.texels.reflection(&band, i);
+                row[(band.texel(i) - first) as usize] = pack(reflection.albedo);
+            }
+        });
+    }
+    let geometry = subject.world.geometry;
+    stand_ins
+        .par_iter_mut()
+        .zip(sides.stand_ins())
+        .for_each(|(value, &[instance, primitive])| {
+            let mesh = geometry.pose.instances[instance as usize].mesh;
+            let mesh = &geometry.scene.meshes[mesh as usize];
+            let third = 1.0 / 3.0;
+            *value = pack(diffuse_albedo(
+                geometry.scene,
+                mesh,
+                primitive,
+                third,
+                third,
+            ));
+        });
+    fronts
+}
