@@ -43,6 +43,8 @@ pub struct PathSettings {
     pub reach: f32,
     /// Seed of all random decisions.
     pub seed: u64,
+    /// Where light comes from is wanted, too: [`Gatherer::moments`].
+    pub directional: bool,
 }
 
 /// A sample to take: a point on the surface, and the numbers that make it unlike the others.
@@ -85,6 +87,8 @@ struct Path {
     position: Vec3,
     normal: Vec3,
     pdf: f32,
+    /// Direction in which the path left its first point.
+    first: Vec3,
     sampler: Sampler,
     /// Reflections so far.
     reflections: u32,
@@ -95,6 +99,8 @@ struct Path {
 #[derive(Clone, Copy, Debug)]
 struct Pending {
     sample: u32,
+    /// From the path's first point, where this light comes from.
+    first: Vec3,
     contribution: Vec3,
 }
 
@@ -108,6 +114,7 @@ pub struct Gatherer {
     shadow_rays: Vec<Ray>,
     pending: Vec<Pending>,
     occluded: Vec<bool>,
+    moments: Vec<Vec3>,
     /// Rays traced so far, shadow rays apart.
     pub secondary: u64,
     /// Shadow rays so far.
@@ -118,6 +125,12 @@ pub struct Gatherer {
 fn frame(normal: Vec3) -> Mat3 {
     let (x, y) = warp::basis(normal);
     Mat3::from_cols(x, y, normal)
+}
+
+/// Luminance of a linear colour (Rec. 709).
+#[inline]
+pub fn luminance(color: Vec3) -> f32 {
+    color.dot(Vec3::new(0.2126, 0.7152, 0.0722))
 }
 
 /// Weight of a technique with density `a` against another with density `b`.
@@ -156,6 +169,10 @@ impl Gatherer {
     ) {
         assert_eq!(samples.len(), irradiance.len());
         irradiance.fill(Vec3::ZERO);
+        self.moments.clear();
+        if settings.directional {
+            self.moments.resize(samples.len(), Vec3::ZERO);
+        }
         self.paths.clear();
         self.start_shadows();
         for (number, sample) in samples.iter().enumerate() {
@@ -167,6 +184,7 @@ impl Gatherer {
             let start = Vertex {
                 surface: &surface,
                 throughput: Vec3::splat(PI),
+                first: Vec3::ZERO,
                 reflections: 0,
                 sample: number as u32,
             };
@@ -175,6 +193,21 @@ impl Gatherer {
         self.answer(world.geometry, irradiance);
         while !self.paths.is_empty() {
             self.extend(world, settings, irradiance);
+        }
+    }
+
+    /// Of the last call, by sample, if [`PathSettings::directional`]: the first moment of the light, that is the sum over directions of
+    /// luminance times cosine times the unit vector to where it comes from. (Luminance times cosine alone adds up to the irradiance.)
+    pub fn moments(&self) -> &[Vec3] {
+        &self.moments
+    }
+
+    /// Light that arrives at a sample's point from direction `first`.
+    #[inline]
+    fn add(&mut self, sample: u32, first: Vec3, light: Vec3, irradiance: &mut [Vec3]) {
+        irradiance[sample as usize] += light;
+        if let Some(moment) = self.moments.get_mut(sample as usize) {
+            *moment += first * luminance(light);
         }
     }
 
@@ -194,11 +227,13 @@ impl Gatherer {
             world
                 .geometry
                 .occluded_batch(&self.rays, &mut self.occluded);
-            for (path, occluded) in self.paths.drain(..).zip(&self.occluded) {
-                if !occluded {
-                    irradiance[path.sample as usize] += path.throughput;
+            for k in 0..self.paths.len() {
+                let path = self.paths[k];
+                if !self.occluded[k] {
+                    self.add(path.sample, path.first, path.throughput, irradiance);
                 }
             }
+            self.paths.clear();
             return;
         }
         self.hits.clear();
@@ -221,7 +256,8 @@ impl Gatherer {
                                 path.ray.direction,
                             );
                             let weight = power_heuristic(path.pdf, pdf);
-                            irradiance[path.sample as usize] += path.throughput * radiance * weight;
+                            let light = path.throughput * radiance * weight;
+                            self.add(path.sample, path.first, light, irradiance);
                         }
                     }
                 }
@@ -255,7 +291,8 @@ impl Gatherer {
                     surface.position,
                 );
                 let weight = power_heuristic(path.pdf, pdf);
-                irradiance[path.sample as usize] += path.throughput * emission * weight;
+                let light = path.throughput * emission * weight;
+                self.add(path.sample, path.first, light, irradiance);
             }
         }
         if path.reflections >= settings.bounces || surface.material().unlit {
@@ -283,6 +320,7 @@ impl Gatherer {
         let vertex = Vertex {
             surface: &surface,
             throughput,
+            first: path.first,
             reflections,
             sample: path.sample,
         };
@@ -300,9 +338,11 @@ impl Gatherer {
         let Vertex {
             surface,
             throughput,
+            first,
             reflections,
             sample,
         } = vertex;
+        let first = |direction| if reflections == 0 { direction } else { first };
         sampler.jump(1 + reflections * SETS_PER_VERTEX);
         let [u, v, pick, _] = sampler.next();
         let normal = surface.shading_normal();
@@ -339,6 +379,7 @@ impl Gatherer {
                 });
                 self.pending.push(Pending {
                     sample,
+                    first: first(light.wi),
                     contribution,
                 });
             }
@@ -362,6 +403,7 @@ impl Gatherer {
             position: surface.position,
             normal,
             pdf: warp::cosine_hemisphere_pdf(local.z),
+            first: first(direction),
             sampler,
             reflections,
             sample,
@@ -374,7 +416,8 @@ impl Gatherer {
         self.occluded.clear();
         self.occluded.resize(self.shadow_rays.len(), false);
         geometry.occluded_batch(&self.shadow_rays, &mut self.occluded);
-        for (k, pending) in self.pending.iter().enumerate() {
+        for k in 0..self.pending.len() {
+            let pending = self.pending[k];
             if self.occluded[k] {
                 continue;
             }
@@ -383,7 +426,8 @@ impl Gatherer {
             } else {
                 Vec3::ONE
             };
-            irradiance[pending.sample as usize] += pending.contribution * tint;
+            let light = pending.contribution * tint;
+            self.add(pending.sample, pending.first, light, irradiance);
         }
     }
 }
@@ -392,6 +436,7 @@ impl Gatherer {
 struct Vertex<'v, 'a> {
     surface: &'v Surface<'a>,
     throughput: Vec3,
+    first: Vec3,
     reflections: u32,
     sample: u32,
 }

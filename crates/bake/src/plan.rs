@@ -8,7 +8,7 @@
 use crate::bundle::{self, Directions, Radiance};
 use crate::export::FINISHING_BYTES_PER_TEXEL;
 use crate::gather::Gatherer;
-use crate::rounds::{Bake, GatherKind, Round, RoundKind};
+use crate::rounds::{Bake, GatherKind, Light, Round, RoundKind};
 use crate::sums::Sums;
 use glam::Vec3;
 use occlude_render::job::Job;
@@ -79,6 +79,12 @@ impl Bake<'_> {
             + 4 * u64::from(units.max().unwrap_or(0))
             + crate::noise::Noise::bytes(self.sides());
         let has = |kind| self.rounds().iter().any(|round| round.kind == kind);
+        let texels = u64::from(self.subject.texels.atlas.texels());
+        let moments = if self.settings.directional {
+            texels * (size_of::<crate::sums::Sum>() + size_of::<Vec3>()) as u64
+        } else {
+            0
+        };
         let maps = if has(RoundKind::Reflected) || has(RoundKind::Sky) {
             2 * map
         } else {
@@ -100,10 +106,18 @@ impl Bake<'_> {
             .map(|page| page.texels());
         let largest = u64::from(largest.max().unwrap_or(0));
         Memory {
-            gathering: state + maps + transport + threads * WORKER_BYTES,
+            gathering: state
+                + maps
+                + moments
+                + transport
+                + self.tiny.bytes()
+                + threads * WORKER_BYTES,
             buffers: self.buffers(&self.settings.bundles),
-            writing: (state + maps + largest * WRITING_BYTES_PER_TEXEL)
-                .max(state + maps + scene_file * SCENE_FILE_COPIES),
+            writing: state
+                + maps
+                + moments
+                + self.tiny.bytes()
+                + (largest * WRITING_BYTES_PER_TEXEL).max(scene_file * SCENE_FILE_COPIES),
         }
     }
 
@@ -167,6 +181,7 @@ impl Bake<'_> {
                     let pixels = f64::from(self.settings.bundles.analysis).powi(2);
                     let priced = triangles as f64 * TRIANGLE
                         + fragments * FRAGMENT
+                        + self.tiny.rays() * ray
                         + pixels * ANALYSIS_PIXEL;
                     (seconds * all, priced * all * 0.5e-9, 0.0)
                 }
@@ -223,7 +238,13 @@ impl Bake<'_> {
             seed: self.settings.seed,
             round: u32::MAX,
         };
+        let light = Light {
+            triangles,
+            radiance: &radiance,
+            sky: None,
+        };
         let gather = |range: std::ops::Range<u32>| {
+            self.gather_tiny(&light, u32::MAX, range.clone(), &sums);
             bundle::gather(
                 triangles,
                 &radiance,

@@ -12,6 +12,7 @@
 
 mod bundles;
 mod paths;
+mod tiny;
 
 use crate::bundle::{self, Sides, Triangles};
 use crate::gather::Part;
@@ -27,6 +28,8 @@ use occlude_render::light::Environment;
 use rayon::prelude::*;
 use std::ops::Range;
 use std::time::{Duration, Instant};
+pub(crate) use tiny::Light;
+use tiny::TinyTexels;
 
 /// How light between surfaces is found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,6 +55,8 @@ pub struct Settings {
     pub reach: f32,
     /// Seed of all random decisions.
     pub seed: u64,
+    /// Where light comes from is gathered, too: [`Bake::moment`].
+    pub directional: bool,
     /// How bundles are cut into tiles.
     pub bundles: bundle::Settings,
 }
@@ -218,6 +223,7 @@ pub struct Bake<'a> {
     notes: String,
     /// Lambert albedo by front; for bundles.
     albedo: Vec<[f16; 3]>,
+    pub(crate) tiny: TinyTexels,
 }
 
 impl<'a> Bake<'a> {
@@ -245,7 +251,14 @@ impl<'a> Bake<'a> {
         } else {
             Vec::new()
         };
+        let by_bundles = |r: &Round| matches!(r.kind, RoundKind::Sky | RoundKind::Reflected);
+        let tiny = if rounds.iter().any(by_bundles) {
+            TinyTexels::find(&subject)
+        } else {
+            TinyTexels::default()
+        };
         Self {
+            tiny,
             subject,
             settings,
             rounds,
@@ -289,6 +302,7 @@ impl<'a> Bake<'a> {
         (index, count): (u32, u32),
         direct: Vec<Vec3>,
         previous: Vec<Vec3>,
+        direct_moments: Vec<Vec3>,
     ) -> State {
         let total = self.rounds[round as usize].total;
         let unit = match self.rounds[round as usize].kind {
@@ -298,6 +312,7 @@ impl<'a> Bake<'a> {
                 bundle::unit(brightest, total.min(MOST_COUNTED))
             }
         };
+        let moments = self.moments_of(round);
         State {
             header: Header {
                 fingerprint: self.fingerprint,
@@ -309,13 +324,15 @@ impl<'a> Bake<'a> {
                 units: self.units_of(round),
                 has_direct: !direct.is_empty(),
                 has_previous: !previous.is_empty(),
+                moments: [moments, direct_moments.len() as u32],
                 unit: [unit.radiance, unit.weight],
                 notes: self.notes.clone(),
             },
             direct,
             previous,
+            direct_moments,
             done: vec![0; self.units_of(round) as usize],
-            sums: Sums::new(self.sides(), unit),
+            sums: Sums::new(self.sides(), unit).with_moments(moments),
             noise: Noise::new(self.sides()),
         }
     }
@@ -332,12 +349,17 @@ impl<'a> Bake<'a> {
         let State {
             mut direct,
             mut previous,
+            mut direct_moments,
             sums,
             ..
         } = state;
         if self.rounds[round as usize].kind == RoundKind::Direct {
             direct = vec![Vec3::ZERO; sides as usize];
             develop(&sums, &mut direct);
+            if let Some(moments) = sums.moments() {
+                direct_moments = vec![Vec3::ZERO; moments.len() as usize];
+                develop(moments, &mut direct_moments);
+            }
             previous = Vec::new();
         } else {
             previous.resize(sides as usize, Vec3::ZERO);
@@ -346,7 +368,7 @@ impl<'a> Bake<'a> {
             pairs.for_each(|(all, direct)| *all += *direct);
         }
         drop(sums);
-        self.begin(round + 1, share, direct, previous)
+        self.begin(round + 1, share, direct, previous, direct_moments)
     }
 
     /// Goes on with a state until its part of its round is done, or `stop` or the job say stop. `at_rest` is called now and then with a
@@ -376,6 +398,26 @@ impl<'a> Bake<'a> {
         let error = state.noise.relative_error();
         report.noise = error.is_finite().then_some(error);
         ended
+    }
+
+    /// Sides whose first moments a round gathers: all texels in those rounds that show in the result.
+    pub(crate) fn moments_of(&self, round: u32) -> u32 {
+        let kind = self.rounds[round as usize].kind;
+        let shows = round as usize + 1 == self.rounds.len()
+            || kind == RoundKind::Direct && self.settings.part != Part::Indirect;
+        if self.settings.directional && shows {
+            self.subject.texels.atlas.texels()
+        } else {
+            0
+        }
+    }
+
+    /// First moment of the light at a texel when the last round is done: luminance times cosine times the unit vector to where it comes
+    /// from, over all directions. 0 unless [`Settings::directional`].
+    pub fn moment(&self, state: &State, texel: u32) -> Vec3 {
+        let direct = state.direct_moments.get(texel as usize).copied();
+        let gathered = state.sums.moments().and_then(|m| m.irradiance(texel));
+        direct.unwrap_or_default() + gathered.unwrap_or_default()
     }
 
     /// Irradiance of a texel when the last round is done, W/m². `None`: nothing is known about it.

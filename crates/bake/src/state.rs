@@ -11,7 +11,7 @@ use std::io::{Read, Write};
 use std::ops::Range;
 
 /// First bytes of a file; the last is the version of the layout.
-const MAGIC: [u8; 8] = *b"occbake\x01";
+const MAGIC: [u8; 8] = *b"occbake\x02";
 
 /// Headers are small; more is no header.
 const MAX_HEADER: u64 = 1 << 20;
@@ -37,6 +37,8 @@ pub struct Header {
     pub has_direct: bool,
     /// There is a map of the round before.
     pub has_previous: bool,
+    /// Sides that have first moments: in the sums, and in those of the first round.
+    pub moments: [u32; 2],
     /// What sums count, radiance and weight.
     pub unit: [f64; 2],
     /// What the writer wants to know again: the command's options, as JSON.
@@ -76,6 +78,8 @@ pub struct State {
     pub direct: Vec<Vec3>,
     /// Irradiance by side of the round before, W/m²; empty in the first rounds.
     pub previous: Vec<Vec3>,
+    /// First moments of the light that the first round has found, by texel; empty unless directions are wanted.
+    pub direct_moments: Vec<Vec3>,
     /// Items of this part that are in the sums, by unit of work; counted from `header.items.start`.
     pub done: Vec<u32>,
     /// Sums of this round.
@@ -125,6 +129,10 @@ impl State {
         let header = Header {
             has_direct: !self.direct.is_empty(),
             has_previous: !self.previous.is_empty(),
+            moments: [
+                self.sums.moments().map_or(0, Sums::len),
+                self.direct_moments.len() as u32,
+            ],
             units: self.done.len() as u32,
             unit: [self.sums.unit().radiance, self.sums.unit().weight],
             ..self.header.clone()
@@ -133,7 +141,7 @@ impl State {
         out.write_all(&MAGIC)?;
         out.write_all(&(text.len() as u64).to_le_bytes())?;
         out.write_all(&text)?;
-        for map in [&self.direct, &self.previous] {
+        for map in [&self.direct, &self.previous, &self.direct_moments] {
             for chunk in map.chunks(CHUNK) {
                 let numbers = chunk.iter().flat_map(|v| v.to_array());
                 out.write_all(&numbers.flat_map(f32::to_le_bytes).collect::<Vec<u8>>())?;
@@ -159,6 +167,7 @@ impl State {
             && header.units == units_of(header.round)
             && header.items.start <= header.items.end
             && header.items.end <= header.total
+            && header.moments.iter().all(|&len| len <= sides)
             && header
                 .unit
                 .iter()
@@ -168,6 +177,7 @@ impl State {
         }
         let direct = read_map(source, if header.has_direct { sides } else { 0 })?;
         let previous = read_map(source, if header.has_previous { sides } else { 0 })?;
+        let direct_moments = read_map(source, header.moments[1])?;
         let mut words = vec![0; 4 * header.units as usize];
         source.read_exact(&mut words)?;
         let done: Vec<u32> = words
@@ -179,12 +189,14 @@ impl State {
         }
         let noise = crate::noise::Noise::read(source, sides)?;
         let [radiance, weight] = header.unit;
-        let mut sums = Sums::new(sides, Unit { radiance, weight });
+        let unit = Unit { radiance, weight };
+        let mut sums = Sums::new(sides, unit).with_moments(header.moments[0]);
         sums.read(source)?;
         Ok(Self {
             header,
             direct,
             previous,
+            direct_moments,
             done,
             sums,
             noise,

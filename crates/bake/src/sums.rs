@@ -44,6 +44,8 @@ pub struct Sums {
     shift: u32,
     len: u32,
     unit: Unit,
+    /// Of the first so many sides, first moments in the place of colours.
+    moments: Option<Box<Self>>,
 }
 
 /// Why sums cannot be read or merged.
@@ -66,7 +68,7 @@ pub struct Run<'a> {
 }
 
 impl Run<'_> {
-    /// Adds one term to a side of this run.
+    /// Adds one term to a side of this run; `radiance` may be a moment with negative parts.
     ///
     /// # Panics
     /// If the side is not in this run.
@@ -117,7 +119,19 @@ impl Sums {
             shift,
             len: sides,
             unit,
+            moments: None,
         }
+    }
+
+    /// The same with sums of first moments (luminance times direction) over the first so many sides; 0: without.
+    pub fn with_moments(mut self, sides: u32) -> Self {
+        self.moments = (sides > 0).then(|| Box::new(Self::new(sides, self.unit)));
+        self
+    }
+
+    /// Sums of first moments.
+    pub fn moments(&self) -> Option<&Self> {
+        self.moments.as_deref()
     }
 
     /// Number of sides.
@@ -164,8 +178,15 @@ impl Sums {
 
     /// Adds all terms of other sums.
     pub fn merge(&mut self, other: &Self) -> Result<(), SumsError> {
-        if self.len != other.len || self.unit != other.unit {
+        let alike = |a: Option<&Self>, b: Option<&Self>| a.map(Self::len) == b.map(Self::len);
+        if self.len != other.len
+            || self.unit != other.unit
+            || !alike(self.moments(), other.moments())
+        {
             return Err(SumsError::Other);
+        }
+        if let (Some(mine), Some(other)) = (&mut self.moments, &other.moments) {
+            mine.merge(other)?;
         }
         for (run, mine) in self.runs.iter_mut().enumerate() {
             let mine = mine.get_mut().unwrap_or_else(PoisonError::into_inner);
@@ -184,6 +205,9 @@ impl Sums {
             run.get_mut()
                 .unwrap_or_else(PoisonError::into_inner)
                 .fill([0; 4]);
+        }
+        if let Some(moments) = &mut self.moments {
+            moments.clear();
         }
     }
 
@@ -220,6 +244,9 @@ impl Sums {
             bytes.extend(run.sums().iter().flatten().flat_map(|n| n.to_le_bytes()));
             out.write_all(&bytes)?;
         }
+        if let Some(moments) = &self.moments {
+            moments.write(out)?;
+        }
         Ok(())
     }
 
@@ -243,6 +270,9 @@ impl Sums {
                 word.copy_from_slice(bytes);
                 *sum = sum.wrapping_add(i64::from_le_bytes(word));
             }
+        }
+        if let Some(moments) = &mut self.moments {
+            moments.read(source)?;
         }
         Ok(())
     }

@@ -248,6 +248,42 @@ fn the_sky_comes_in_at_open_ends() {
 }
 
 #[test]
+fn moments_say_where_light_comes_from() {
+    let mut build = Build::default();
+    build.rectangle(
+        Vec3::ZERO,
+        Vec3::Z * 2.0,
+        Vec3::X * 2.0,
+        Some([4, 4]),
+        matt(0.5),
+    );
+    let (scene, atlas) = (&build.scene, build.atlas());
+    let pose = Pose::at(scene, 0.0);
+    let triangles = Triangles::new(scene, &pose, &atlas);
+    let sky = |towards: Vec3| Vec3::splat(f32::from(u8::from(towards.x > 0.0)));
+    let sides = triangles.sides().count();
+    let sums = Sums::new(sides, bundle::unit(1.0, 800)).with_moments(atlas.texels());
+    bundle::gather(
+        &triangles,
+        &Radiance::new(sides, 1.0, |_| Vec3::ZERO),
+        Some(&sky),
+        &Directions { seed: 3, round: 0 },
+        0..800,
+        &settings(),
+        &Job::new(),
+        &sums,
+    );
+    // Half of an even sky: half its moment along the normal, 2/3 across.
+    let expected = Vec3::new(2.0 / 3.0, PI / 3.0, 0.0);
+    for (texel, _) in texels(&atlas, 0) {
+        let moment = sums.moments().unwrap().irradiance(texel).unwrap();
+        assert!((moment - expected).length() < 0.06, "{texel}: {moment}");
+        let all = sums.irradiance(texel).unwrap().x;
+        assert!((all / (0.5 * PI) - 1.0).abs() < 0.04, "{texel}: {all}");
+    }
+}
+
+#[test]
 fn blended_sheets_let_their_share_pass_and_mirrored_fronts_stay_fronts() {
     let mut build = Build::default();
     build.rectangle(
@@ -514,6 +550,7 @@ fn bundles_agree_with_paths() {
                 luminous: true,
                 reach: f32::INFINITY,
                 seed,
+                directional: false,
             };
             let mut samples = Vec::new();
             let each = 64;
@@ -583,4 +620,99 @@ fn bundles_agree_with_paths() {
     let ratio = mean(&by_bundles) / mean(&by_paths);
     println!("energy {ratio}");
     assert!((ratio - 1.0).abs() < 0.01, "{ratio}");
+}
+
+#[test]
+fn lines_pass_through_the_holes_of_masks() {
+    let mut build = Build::default();
+    build.rectangle(
+        Vec3::ZERO,
+        Vec3::Z * 2.0,
+        Vec3::X * 2.0,
+        Some([16, 16]),
+        matt(0.5),
+    );
+    // A picture of two texels: the left one is a hole.
+    let mask = occlude_scene::Material {
+        base_color_texture: Some(occlude_scene::TextureRef {
+            texture: 0,
+            uv_set: 0,
+            transform: glam::Affine2::IDENTITY,
+        }),
+        alpha_mode: occlude_scene::AlphaMode::Mask { cutoff: 0.5 },
+        ..matt(0.5)
+    };
+    build.rectangle(Vec3::Y * 0.02, Vec3::Z * 2.0, Vec3::X * 2.0, None, mask);
+    let nearest = occlude_scene::Sampler {
+        filter: occlude_scene::Filter::Nearest,
+        ..occlude_scene::Sampler::default()
+    };
+    build.scene.images.push(occlude_scene::Image {
+        name: String::new(),
+        width: 2,
+        height: 1,
+        texels: occlude_scene::Texels::Rgba8(vec![[255, 255, 255, 0], [255; 4]]),
+    });
+    build.scene.textures.push(occlude_scene::Texture {
+        image: 0,
+        sampler: nearest,
+        srgb: true,
+    });
+    let (scene, atlas) = (&build.scene, build.atlas());
+    let pose = Pose::at(scene, 0.0);
+    let mut triangles = Triangles::new(scene, &pose, &atlas);
+    triangles.find_backs(0, &settings(), &Job::new());
+    let sky = |towards: Vec3| Vec3::splat(f32::from(u8::from(towards.y > 0.0)));
+    let (sums, _) = gather(&triangles, |_| Vec3::ZERO, Some(&sky), 0, 400, &settings());
+    let mean = |open: bool| {
+        let list = texels(&atlas, 0);
+        // Away from the hole's rim and the sheet's.
+        let list = list.iter().filter(|(_, at)| {
+            (at.y - 0.5).abs() < 0.4 && (at.x - if open { 0.25 } else { 0.75 }).abs() < 0.15
+        });
+        let all: Vec<f32> = list.map(|t| sums.irradiance(t.0).unwrap().x).collect();
+        all.iter().sum::<f32>() / all.len() as f32
+    };
+    assert!((mean(true) / PI - 1.0).abs() < 0.02, "{}", mean(true));
+    assert!(mean(false) < 0.02, "{}", mean(false));
+}
+
+#[test]
+fn tiny_charts_do_not_cost_lines_for_all_behind_them() {
+    // A room whose walls have 16 texels a metre, and a screw in it of a square millimetre with as many texels as a wall of a square metre.
+    let mut build = Build::default();
+    build.room(Vec3::ZERO, Vec3::ONE, [[16, 16]; 6], &matt(0.5));
+    let plain = build.atlas();
+    let small = Vec3::new(5e-4, 0.0, 0.0);
+    build.rectangle(
+        Vec3::splat(0.5),
+        small,
+        Vec3::new(0.0, 5e-4, 0.0),
+        Some([16, 16]),
+        matt(0.5),
+    );
+    let mut atlas = build.atlas();
+    for layout in &mut atlas.layouts {
+        layout.texels_per_metre = 16.0;
+    }
+    let pose = Pose::at(&build.scene, 0.0);
+    let lines = |atlas: &occlude_bake::atlas::Atlas, settings: &Settings| {
+        let triangles = Triangles::new(&build.scene, &pose, atlas);
+        let lit = |_| Vec3::ONE;
+        let (sums, stats) = gather(&triangles, lit, None, 0, 200, settings);
+        (sums, stats.lines as f64 / 200.0)
+    };
+    let (_, without) = lines(&plain, &settings());
+    let (sums, with) = lines(&atlas, &settings());
+    assert!(with < 2.0 * without, "{with} lines instead of {without}");
+    // Fewer lines are no bias: everything sees radiance 1 everywhere.
+    for (texel, _) in (0..7).flat_map(|i| texels(&atlas, i)) {
+        let Some(got) = sums.irradiance(texel) else {
+            continue;
+        };
+        assert!(
+            (got / PI - 1.0).abs().max_element() < 4e-3,
+            "{texel}: {got}"
+        );
+    }
 }

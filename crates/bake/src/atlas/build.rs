@@ -1,13 +1,14 @@
 //! From a posed scene to an atlas.
 
 use super::arrange::{TooLarge, arrange};
-use super::unwrap::{Conformal, Projection, Surface, Unwrap, UnwrapError};
+use super::unwrap::{Conformal, Kept, Projection, Surface, Unwrap, UnwrapError};
 use super::{Atlas, Layout, Placement, given, pages};
 use glam::{Mat3, UVec2, Vec3};
 use occlude_render::job::Job;
 use occlude_scene::{Pose, Scene};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 
 /// How charts are made where the scene has no UVs of its own for them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -20,7 +21,7 @@ pub enum UnwrapKind {
 }
 
 /// What an atlas is to be like.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct AtlasSettings {
     /// Width and height of pages at most, texels: rounded down to a multiple of 4, at least 16, at most 16384. Default 4096.
     pub page_size: u32,
@@ -28,6 +29,8 @@ pub struct AtlasSettings {
     pub padding: u32,
     /// How charts are made.
     pub unwrap: UnwrapKind,
+    /// Folder in which conformal charts are kept, by a hash of their mesh.
+    pub kept: Option<PathBuf>,
     /// Use `TEXCOORD_1` of the file where it is fit for a light map.
     pub use_given: bool,
 }
@@ -38,6 +41,7 @@ impl Default for AtlasSettings {
             page_size: 4096,
             padding: 2,
             unwrap: UnwrapKind::default(),
+            kept: None,
             use_given: true,
         }
     }
@@ -133,7 +137,7 @@ pub fn build(
     let settings = &AtlasSettings {
         page_size: settings.page_size.clamp(16, 16_384) / pages::BLOCK * pages::BLOCK,
         padding: settings.padding.min(64),
-        ..*settings
+        ..settings.clone()
     };
     let classes = classes(scene, pose, densities);
     let triangles = |class: &Class| scene.meshes[class.mesh as usize].triangles.len() as u64;
@@ -409,9 +413,14 @@ fn lay_out(scene: &Scene, class: &Class, settings: &AtlasSettings) -> Result<Lai
             }
         }
     }
-    let charts = match settings.unwrap {
-        UnwrapKind::Projection => Projection.charts(&surface),
-        UnwrapKind::Conformal => Conformal.charts(&surface),
+    let charts = match (settings.unwrap, &settings.kept) {
+        (UnwrapKind::Projection, _) => Projection.charts(&surface),
+        (UnwrapKind::Conformal, None) => Conformal.charts(&surface),
+        (UnwrapKind::Conformal, Some(folder)) => Kept {
+            inner: Conformal,
+            folder,
+        }
+        .charts(&surface),
     };
     let charts = match charts {
         Ok(charts) => charts,

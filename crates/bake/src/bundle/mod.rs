@@ -240,7 +240,8 @@ pub fn unit(brightest: f32, directions: u32) -> Unit {
     Unit::new(brightest, 4.0 * directions.max(1) as f32)
 }
 
-/// Gathers the light of a range of directions of one round into `sums`, all of whose sides are [`Triangles::sides`].
+/// Gathers the light of a range of directions of one round into `sums`, all of whose sides are [`Triangles::sides`]; first moments, too, if
+/// the sums have some.
 ///
 /// The sky arrives at the open ends of lines. The job's progress advances by one a direction; when it is cancelled, the direction at hand
 /// is finished first: the number of directions that are in the sums is in the statistics.
@@ -278,7 +279,7 @@ pub fn gather(
             direction,
             settings,
         };
-        let exchange = || Exchange::new(triangles.sides(), radiance, sky, sums);
+        let exchange = || Exchange::new(triangles.sides(), radiance, sky, along, sums);
         stats += bundle.run(&setting, &exchange);
         job.advance(1, 0);
     }

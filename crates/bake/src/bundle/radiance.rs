@@ -61,16 +61,18 @@ impl Scale {
         mantissa(0) | mantissa(1) << 9 | mantissa(2) << 18 | exponent << 27
     }
 
-    fn unpack(&self, packed: u32) -> Vec3 {
-        let step = self.least * 2f32.powi((packed >> 27) as i32);
-        let mantissa = |shift: u32| (packed >> shift & 511) as f32 * step;
-        Vec3::new(mantissa(0), mantissa(9), mantissa(18))
-    }
-
     /// The value of mantissa 1 at exponent 0.
     pub(super) fn least(&self) -> f32 {
         self.least
     }
+}
+
+/// A packed radiance; `least` is the value of mantissa 1 at exponent 0.
+#[inline]
+pub(super) fn unpack(packed: u32, least: f32) -> Vec3 {
+    let step = least * (1u64 << (packed >> 27)) as f32;
+    let mantissa = |shift: u32| (packed >> shift & 511) as f32 * step;
+    Vec3::new(mantissa(0), mantissa(9), mantissa(18))
 }
 
 impl Radiance {
@@ -93,7 +95,7 @@ impl Radiance {
 
     /// The radiance of a side, as rounded.
     pub fn get(&self, side: u32) -> Vec3 {
-        self.scale.unpack(self.packed[side as usize])
+        unpack(self.packed[side as usize], self.scale.least)
     }
 
     /// Number of sides.

@@ -1,10 +1,12 @@
 //! Light along the lines: every two neighbours on a line look at each other and exchange what they send out.
 
 use super::fragments::{Fragment, front};
-use super::radiance::{MANTISSA_BITS, Radiance};
+use super::radiance::{MANTISSA_BITS, Radiance, unpack};
 use super::raster::{Isa, multiversion};
 use super::triangles::{BACK_RUN, NO_SIDE, Sides};
+use crate::gather::luminance;
 use crate::sums::{Run, Sum, Sums, Unit};
+use glam::Vec3;
 
 /// Whoever looks at lines with all their surfaces, in order of depth.
 pub(super) trait Lines {
@@ -42,6 +44,8 @@ type Term = u64;
 /// Collects the terms of one thread by runs of sums.
 struct Terms<'a> {
     isa: Isa,
+    /// Of moments: the direction along the lines. Terms then hold luminance, negative if it comes from below.
+    along: Option<Vec3>,
     sums: &'a Sums,
     /// Radiance of mantissa 1 at exponent 0.
     least: f32,
@@ -53,9 +57,10 @@ struct Terms<'a> {
 }
 
 impl<'a> Terms<'a> {
-    fn new(sums: &'a Sums, radiance: &Radiance) -> Self {
+    fn new(sums: &'a Sums, radiance: &Radiance, along: Option<Vec3>) -> Self {
         Self {
             isa: Isa::detect(),
+            along,
             sums,
             least: radiance.scale().least(),
             weight: 0.0,
@@ -78,15 +83,12 @@ impl<'a> Terms<'a> {
         *count += 1;
         // Room for a change of weight and a term.
         if *count as usize > WAITING - 2 {
+            let terms = &terms[..*count as usize];
             let mut locked = self.sums.lock(run);
-            let unit = self.sums.unit();
-            enter(
-                self.isa,
-                &terms[..*count as usize],
-                &mut locked,
-                unit,
-                self.least,
-            );
+            match self.along {
+                None => enter(self.isa, terms, &mut locked, self.sums.unit(), self.least),
+                Some(along) => enter_moments(terms, &mut locked, along),
+            }
             self.heads[run] = (0, 0.0);
         }
     }
@@ -97,7 +99,10 @@ impl<'a> Terms<'a> {
             if *count > 0 {
                 let terms = &self.terms[run * WAITING..][..*count as usize];
                 let mut locked = self.sums.lock(run);
-                enter(self.isa, terms, &mut locked, self.sums.unit(), self.least);
+                match self.along {
+                    None => enter(self.isa, terms, &mut locked, self.sums.unit(), self.least),
+                    Some(along) => enter_moments(terms, &mut locked, along),
+                }
                 (*count, *weight) = (0, 0.0);
             }
         }
@@ -155,6 +160,19 @@ fn enter_lanes(terms: &[Term], run: &mut Run, unit: Unit, least: f32) {
     }
 }
 
+/// Adds terms of moments to a run of sums.
+fn enter_moments(terms: &[Term], run: &mut Run, along: Vec3) {
+    let mut weight = 0.0;
+    for &term in terms {
+        let (side, value) = ((term >> 32) as u32, f32::from_bits(term as u32));
+        if side == NO_SIDE {
+            weight = value;
+        } else {
+            run.add(side, weight, along * value);
+        }
+    }
+}
+
 /// Asks for a sum that is needed soon.
 #[inline(always)]
 fn prefetch(sums: &[Sum], place: usize) {
@@ -178,6 +196,8 @@ pub(super) struct Exchange<'a> {
     /// Packed radiance of the sky that arrives at the lower and at the upper open end.
     sky: [u32; 2],
     terms: Terms<'a>,
+    /// Where light comes from, if that is wanted.
+    moments: Option<Terms<'a>>,
     counts: Counts,
     /// What looks up at the end of the line so far, and what it sends.
     below: u32,
@@ -186,16 +206,23 @@ pub(super) struct Exchange<'a> {
 
 impl<'a> Exchange<'a> {
     /// Bytes of a thread at most.
-    pub const BYTES: u64 = (RUNS_AT_MOST * WAITING * 8) as u64;
+    pub const BYTES: u64 = 2 * (RUNS_AT_MOST * WAITING * 8) as u64;
 
-    pub fn new(sides: &'a Sides, radiance: &'a Radiance, sky: [u32; 2], sums: &'a Sums) -> Self {
+    pub fn new(
+        sides: &'a Sides,
+        radiance: &'a Radiance,
+        sky: [u32; 2],
+        along: Vec3,
+        sums: &'a Sums,
+    ) -> Self {
         Self {
             radiance: radiance.packed(),
             backs: sides.backs(),
             fronts: sides.fronts_count(),
             texels: sides.texels(),
             sky,
-            terms: Terms::new(sums, radiance),
+            terms: Terms::new(sums, radiance, None),
+            moments: (sums.moments()).map(|sums| Terms::new(sums, radiance, Some(along))),
             counts: Counts::default(),
             below: NO_SIDE,
             from_below: sky[0],
@@ -212,6 +239,19 @@ impl<'a> Exchange<'a> {
         }
     }
 
+    /// Packed radiance arrives at a side, from above or from below.
+    #[inline(always)]
+    fn arrive(&mut self, side: u32, packed: u32, from_above: bool) {
+        self.terms.add(side, packed);
+        if let Some(moments) = &mut self.moments
+            && side < self.texels
+        {
+            let luminance = luminance(unpack(packed, moments.least));
+            let signed = if from_above { luminance } else { -luminance };
+            moments.add(side, signed.to_bits());
+        }
+    }
+
     #[inline(always)]
     fn sent(&self, side: u32) -> u32 {
         if side == NO_SIDE {
@@ -225,6 +265,9 @@ impl<'a> Exchange<'a> {
 impl Lines for Exchange<'_> {
     fn set_weight(&mut self, weight: f32) {
         self.terms.weight = weight;
+        if let Some(moments) = &mut self.moments {
+            moments.weight = weight;
+        }
     }
 
     #[inline(always)]
@@ -236,10 +279,10 @@ impl Lines for Exchange<'_> {
             let (down, up) = if along { (back, front) } else { (front, back) };
             if below != NO_SIDE {
                 let from_above = self.sent(down);
-                self.terms.add(below, from_above);
+                self.arrive(below, from_above, true);
             }
             if down != NO_SIDE {
-                self.terms.add(down, from_below);
+                self.arrive(down, from_below, false);
             }
             // Backs and no side are beyond all fronts.
             if below < self.fronts && down < self.fronts {
@@ -256,13 +299,16 @@ impl Lines for Exchange<'_> {
     #[inline(always)]
     fn end_line(&mut self) {
         if self.below != NO_SIDE {
-            self.terms.add(self.below, self.sky[1]);
+            self.arrive(self.below, self.sky[1], true);
         }
         (self.below, self.from_below) = (NO_SIDE, self.sky[0]);
     }
 
     fn finish(&mut self) {
         self.terms.flush();
+        if let Some(moments) = &mut self.moments {
+            moments.flush();
+        }
     }
 
     fn counts(&self) -> Counts {

@@ -98,6 +98,12 @@ const FILTERED: u32 = 1 << 31;
 /// The second and third corners are swapped, so that the front runs counterclockwise in the world.
 const MIRRORED: u32 = 1 << 30;
 
+/// Its chart is so much denser than the instance's that lines cannot serve it.
+const TINY: u32 = 1 << 29;
+
+/// Charts with more texels per m² than so many times what was asked for are tiny: a ray each costs less than lines for all.
+const MOST_SHARE: f32 = 4.0;
+
 /// All triangles of a posed scene with their places in the light map.
 #[derive(Debug)]
 pub struct Triangles<'a> {
@@ -118,6 +124,8 @@ pub struct Triangles<'a> {
     largest_area: f32,
     area: f64,
     needed: f64,
+    has_tiny: bool,
+    most_share: f32,
 }
 
 impl<'a> Triangles<'a> {
@@ -126,6 +134,17 @@ impl<'a> Triangles<'a> {
 
     /// Flattens a posed scene. O(triangles). No back has a number yet: see [`Triangles::find_backs`].
     pub fn new(scene: &'a Scene, pose: &'a Pose, atlas: &Atlas) -> Self {
+        Self::with_lines_for(scene, pose, atlas, MOST_SHARE)
+    }
+
+    /// The same with lines for charts that are at most `most_share` times as dense, in texels per m², as their instance's density asks for; infinity: for
+    /// all.
+    pub fn with_lines_for(
+        scene: &'a Scene,
+        pose: &'a Pose,
+        atlas: &Atlas,
+        most_share: f32,
+    ) -> Self {
         let mut firsts = vec![0];
         for posed in &pose.instances {
             let count = scene.meshes[posed.mesh as usize].triangles.len() as u32;
@@ -181,6 +200,8 @@ impl<'a> Triangles<'a> {
             largest_area: 0.0,
             area: 0.0,
             needed: 0.0,
+            has_tiny: false,
+            most_share,
         };
         for (number, posed) in pose.instances.iter().enumerate() {
             let mesh = &scene.meshes[posed.mesh as usize];
@@ -270,14 +291,11 @@ impl<'a> Triangles<'a> {
     /// Bounds the importance of an instance's triangles around what its density asks for.
     ///
     /// From below: slivers whose chart has collapsed need lines as their neighbours do, and no single one may stretch the range of
-    /// weights. From above: no chart has less than a texel, so that those of screws and slivers are thousands of times denser than was asked
-    /// for, and a line through any of them is a line through everything else behind. Errors count by the area that shows
-    /// them, so the best lines for the time go with the square root of the density (the variance of a texel of area `A` is as `1 / (I A)`, its
-    /// weight as `A`, the cost of its lines as `I A`; the sum of costs and errors is least where `I` is as `A^(-1/2)`).
+    /// weights. From above: no chart has less than a texel, so those of screws and slivers are thousands of times denser than was asked
+    /// for, and a line through any of them is a line through everything else behind. They are marked as tiny: rays of their own serve them
+    /// better.
     fn bound_importance(&mut self, instance: usize, texels_per_metre: f32) {
         const LEAST_SHARE: f32 = 1.0 / 16.0;
-        // Beyond it nearly all lines would be for what nobody can see.
-        const MOST_SHARE: f32 = 16.0;
         let range = self.firsts[instance] as usize..self.firsts[instance + 1] as usize;
         let area = |number: usize| {
             let block = &self.blocks[number / LANES];
@@ -300,11 +318,14 @@ impl<'a> Triangles<'a> {
             return;
         }
         let least = usual * LEAST_SHARE;
-        for importance in &mut self.importance[range.clone()] {
-            let law = (*importance * usual)
-                .sqrt()
-                .clamp(usual, usual * MOST_SHARE);
-            *importance = importance.min(law).max(least);
+        let most = usual * self.most_share;
+        let notes = self.notes[range.clone()].iter_mut();
+        for (importance, note) in self.importance[range.clone()].iter_mut().zip(notes) {
+            if *importance > most {
+                *note |= TINY;
+                self.has_tiny = true;
+            }
+            *importance = importance.clamp(least, most);
         }
         self.needed += sum(&self.importance[range]);
         self.largest_area = self.largest_area.max(1.0 / least);
@@ -361,6 +382,29 @@ impl<'a> Triangles<'a> {
             + self.sides.stand_ins.len() as u64 * 8
     }
 
+    /// Whether some charts are tiny.
+    pub(crate) fn has_tiny(&self) -> bool {
+        self.has_tiny
+    }
+
+    /// Whether a triangle's chart is tiny.
+    pub(crate) fn is_tiny(&self, instance: u32, primitive: u32) -> bool {
+        let triangle = self.firsts[instance as usize] + primitive;
+        self.notes[triangle as usize] & TINY != 0
+    }
+
+    /// The front at a point of a triangle; `u` and `v` weigh the second and the third corner.
+    pub(crate) fn front_at(&self, instance: u32, primitive: u32, u: f32, v: f32) -> u32 {
+        let triangle = self.firsts[instance as usize] + primitive;
+        let [a, b, c] = self.charts[triangle as usize];
+        let mirrored = self.notes[triangle as usize] & MIRRORED != 0;
+        let (u, v) = if mirrored { (v, u) } else { (u, v) };
+        let at = a + (b - a) * u + (c - a) * v;
+        let lot = self.lot(triangle);
+        let front = lot.first + at.y as u32 * lot.stride + (at.x as u32).min(lot.stride - 1);
+        front.min(self.sides.fronts_count() - 1)
+    }
+
     /// Instance and primitive of a triangle.
     pub(super) fn origin(&self, triangle: u32) -> (u32, u32) {
         let instance = self.firsts.partition_point(|&first| first <= triangle) - 1;
@@ -380,7 +424,7 @@ impl<'a> Triangles<'a> {
     }
 
     pub(super) fn lot(&self, triangle: u32) -> Lot {
-        self.lots[(self.notes[triangle as usize] & !(FILTERED | MIRRORED)) as usize]
+        self.lots[(self.notes[triangle as usize] & !(FILTERED | MIRRORED | TINY)) as usize]
     }
 
     pub(super) fn is_filtered(&self, triangle: u32) -> bool {

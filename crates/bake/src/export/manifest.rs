@@ -21,6 +21,9 @@ pub struct Manifest {
     pub unit: String,
     /// How to come from UVs to a page.
     pub convention: String,
+    /// Layer of the pages that says where light comes from: `sh1` or `dominant`.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub directional: String,
     /// The light maps.
     pub pages: Vec<PageEntry>,
     /// What is lit by which part of them.
@@ -105,6 +108,7 @@ impl Manifest {
             quantity: settings.engine.quantity().0.into(),
             engine: settings.engine.name().into(),
             unit: "W/m2".into(),
+            directional: settings.directional.name().into(),
             convention: "page uv = TEXCOORD_1 * scale + offset; uv (0, 0) is the top left corner; v runs down".into(),
             pages,
             nodes: atlas.blocks.iter().enumerate().map(entry).collect(),

@@ -9,6 +9,7 @@
 //! Page coordinates are `uv1 * scale + offset`, (0, 0) the corner of the top left texel. Everything is written beside its name and renamed
 //! when whole, the manifest last: a folder with a new manifest holds new maps.
 
+pub mod directional;
 mod manifest;
 
 pub use manifest::{Manifest, NodeEntry, PageEntry};
@@ -20,6 +21,7 @@ use crate::finish::seams::{Stitched, stitch};
 use crate::finish::{Canvas, LEAST_VALIDITY};
 use crate::texel::Texels;
 use crate::texel::validity::{Solids, validity};
+use directional::{Directional, directions};
 use glam::Vec2;
 use occlude_image::{
     Attribute, Depth, ImageError, Layers, ToneMap, write_atomically, write_exr_rows, write_png_rows,
@@ -79,6 +81,8 @@ pub struct ExportSettings {
     pub dilate: u32,
     /// Close seams.
     pub stitch: bool,
+    /// Where light comes from, in layers of its own.
+    pub directional: Directional,
 }
 
 /// How texels that are partly or wholly inside of something are found.
@@ -100,13 +104,8 @@ pub trait Light: Sync {
         true
     }
 
-    /// Names of further colour layers, such as directional parts.
-    fn layers(&self) -> &[&str] {
-        &[]
-    }
-
-    /// Value of such a layer. Multiplied like irradiance.
-    fn layer(&self, _layer: usize, _texel: u32) -> [f32; 3] {
+    /// First moment of the light ([`Bake::moment`](crate::rounds::Bake::moment)); for [`ExportSettings::directional`].
+    fn moment(&self, _texel: u32) -> [f32; 3] {
         [0.0; 3]
     }
 }
@@ -246,13 +245,19 @@ fn write_page(
     let (width, height) = (canvas.width, canvas.height);
     let first = texels.atlas.pages[page as usize].first_texel;
     let stem = format!("lightmap_{page:03}");
+    let direction = (settings.directional != Directional::None)
+        .then(|| directions(texels, light, page, canvas, settings));
     let mut layers = Layers::new(width, height);
     for name in ["R", "G", "B", "raw.R", "raw.G", "raw.B", "validity.V"] {
         layers.push(name, Depth::Half, Vec::new());
     }
-    for layer in light.layers() {
-        for c in ["R", "G", "B"] {
-            layers.push(&format!("{layer}.{c}"), Depth::Half, Vec::new());
+    if direction.is_some() {
+        for c in ["X", "Y", "Z", "W"] {
+            layers.push(
+                &format!("{}.{c}", settings.directional.name()),
+                Depth::Half,
+                Vec::new(),
+            );
         }
     }
     layers.describe("quantity", Attribute::Text(quantity.into()));
@@ -282,14 +287,8 @@ fn write_page(
                 .map(|i| if covered(i) { canvas.validity[i] } else { 0.0 })
                 .collect(),
         );
-        for layer in 0..light.layers().len() {
-            out.extend(color(&|i| {
-                if covered(i) {
-                    light.layer(layer, first + i as u32)
-                } else {
-                    [0.0; 3]
-                }
-            }));
+        if let Some(direction) = &direction {
+            out.extend((0..4).map(|c| range.clone().map(|i| direction[i][c]).collect()));
         }
         out
     })?;

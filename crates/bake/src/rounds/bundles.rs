@@ -1,6 +1,6 @@
 //! Rounds of bundles: what surfaces and sky send along parallel lines.
 
-use super::{Bake, Ended, Report, Round, RoundKind, Subject};
+use super::{Bake, Ended, Light, Report, Round, RoundKind, Subject};
 use crate::bundle::{self, Directions, Radiance, Sky};
 use crate::gather::Part;
 use crate::state::State;
@@ -50,6 +50,11 @@ impl Bake<'_> {
             seed: self.settings.seed,
             round: state.header.round,
         };
+        let light = Light {
+            triangles,
+            radiance: &radiance,
+            sky,
+        };
         let first = state.header.items.start;
         while state.done[0] < target {
             let end = (state.done[0] / DIRECTIONS_TOGETHER + 1) * DIRECTIONS_TOGETHER;
@@ -59,12 +64,15 @@ impl Bake<'_> {
                 &radiance,
                 sky,
                 &directions,
-                range,
+                range.clone(),
                 &self.settings.bundles,
                 job,
                 &state.sums,
             );
-            state.done[0] += stats.directions as u32;
+            let done = stats.directions as u32;
+            let gathered = range.start..range.start + done;
+            report.secondary += self.gather_tiny(&light, state.header.round, gathered, &state.sums);
+            state.done[0] += done;
             report.bundles += stats;
             if job.is_cancelled() {
                 return Ended::Cancel;

@@ -53,6 +53,7 @@ impl Bake<'_> {
             luminous: self.subject.luminous,
             reach: self.settings.reach,
             seed: self.settings.seed,
+            directional: self.settings.directional,
         }
     }
 
@@ -183,11 +184,16 @@ impl Bake<'_> {
         let mut samples = Vec::new();
         self.place(patch, &items, settings, &mut samples);
         let mut irradiance = vec![Vec3::ZERO; samples.len()];
+        let mut moments = Vec::new();
         for (samples, irradiance) in samples.chunks(BATCH).zip(irradiance.chunks_mut(BATCH)) {
             if job.is_cancelled() {
                 return false;
             }
             gatherer.gather(&self.subject.world, settings, samples, irradiance);
+            moments.extend_from_slice(gatherer.moments());
+        }
+        if let Some(sums) = sums.moments() {
+            add_moments(&samples, &irradiance, &moments, brightest, sums);
         }
         let mut start = 0;
         while start < samples.len() {
@@ -290,6 +296,26 @@ impl Bake<'_> {
             (brightest * HEADROOM).max(f32::MIN_POSITIVE * 1e20),
             round.total.min(MOST_COUNTED) as f32,
         )
+    }
+}
+
+/// Adds first moments of texels; what is cut off the light is cut off its moment.
+fn add_moments(
+    samples: &[SurfaceSample],
+    irradiance: &[Vec3],
+    moments: &[Vec3],
+    brightest: f32,
+    sums: &Sums,
+) {
+    for ((sample, light), moment) in samples.iter().zip(irradiance).zip(moments) {
+        if sample.side >= sums.len() {
+            continue;
+        }
+        let (light, moment) = (*light * FRAC_1_PI, *moment * FRAC_1_PI);
+        let cut = brightest / light.max_element().max(brightest);
+        if light.is_finite() && moment.is_finite() {
+            sums.add(sample.side, 1.0, moment * cut);
+        }
     }
 }
 

@@ -64,6 +64,21 @@ impl Band {
         self.fragments[self.first[i] as usize].texel
     }
 
+    /// Those texels of whose fragments `keep` says so.
+    pub(crate) fn filtered(&self, keep: impl Fn(&[Fragment]) -> bool) -> Self {
+        let mut kept = Self::default();
+        for fragments in (0..self.len()).map(|i| self.fragments(i)) {
+            if keep(fragments) {
+                kept.first.push(kept.fragments.len() as u32);
+                kept.fragments.extend_from_slice(fragments);
+            }
+        }
+        if !kept.first.is_empty() {
+            kept.first.push(kept.fragments.len() as u32);
+        }
+        kept
+    }
+
     /// Bytes that the band holds.
     pub fn bytes(&self) -> u64 {
         (self.fragments.capacity() * size_of::<Fragment>() + self.first.capacity() * 4) as u64

@@ -1,5 +1,6 @@
 //! Options of `occlude bake` and `occlude plan`, and what must hold before any work.
 
+use crate::cache::{self, Cache};
 use crate::error::CliError;
 use crate::output;
 use crate::sky::SkyArgs;
@@ -31,6 +32,19 @@ pub struct WorkArgs {
     /// Texels a side of a page at most; further pages are added as they are needed
     #[arg(long, value_name = "SIZE", default_value_t = 4096, value_parser = clap::value_parser!(u32).range(16..=i64::from(MAX_PAGE)), allow_negative_numbers = true, help_heading = "Maps")]
     pub pages_max: u32,
+
+    /// Texels between charts; more: room for mip maps, larger maps
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=64), allow_negative_numbers = true, help_heading = "Maps")]
+    pub padding: u32,
+
+    /// projection: charts of triangles that face alike, a second for a million triangles; conformal: fewer charts on curved things, a minute
+    /// for as many
+    #[arg(long, value_enum, default_value_t = UnwrapName::Projection, help_heading = "Maps")]
+    pub unwrap: UnwrapName,
+
+    /// Folder in which conformal charts are kept for later runs, or off [default: occlude in the user's cache folder]
+    #[arg(long, value_name = "DIR|off", value_parser = cache::parse, help_heading = "Maps")]
+    pub cache: Option<Cache>,
 
     /// Bake only these nodes, by name or by index in the file; the others still block and reflect light
     #[arg(
@@ -64,6 +78,11 @@ pub struct WorkArgs {
     /// Reach of --light ao in metres [default: unlimited]
     #[arg(long, value_name = "M", value_parser = values::positive, allow_negative_numbers = true, help_heading = "Light")]
     pub ao_distance: Option<f32>,
+
+    /// Where light comes from, for normal maps, in four more channels of the maps (see docs/baking.md); sh1: irradiance for any normal; dominant: the
+    /// direction of most light
+    #[arg(long, value_enum, default_value_t = DirectionalName::None, help_heading = "Light")]
+    pub directional: DirectionalName,
 
     /// bundles: parallel rays through the whole scene, direction by direction; path: paths from every texel; auto: what takes less time by
     /// the plan's estimate
@@ -134,6 +153,26 @@ pub struct PlanArgs {
     /// Print JSON
     #[arg(long)]
     pub json: bool,
+}
+
+/// `--directional`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum DirectionalName {
+    /// Nothing
+    None,
+    /// Irradiance as a linear function of the normal
+    Sh1,
+    /// The direction that most light comes from
+    Dominant,
+}
+
+/// `--unwrap`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum UnwrapName {
+    /// By the direction of triangles
+    Projection,
+    /// Least squares conformal maps
+    Conformal,
 }
 
 /// `--light`.

@@ -1,11 +1,12 @@
 //! What a bake leaves: light maps, previews, the scene with its second UV set, the manifest, the viewer's page.
 
 use super::Setup;
-use super::args::{BakeArgs, EngineName};
+use super::args::{BakeArgs, DirectionalName, EngineName};
 use crate::context::Context;
 use crate::error::CliError;
 use crate::output;
 use glam::Vec3;
+use occlude_bake::export::directional::Directional;
 use occlude_bake::export::{self, Engine, ExportError, ExportSettings, Insides, Light};
 use occlude_bake::finish::denoise::DenoiseSettings;
 use occlude_bake::rounds::Bake;
@@ -18,7 +19,7 @@ use occlude_scene::Scene;
 /// The viewer's page, made from crates/cli/view.
 const VIEW: &str = include_str!("../../view/view.html");
 
-/// Texels around charts that are filled: as many as the atlas keeps them apart.
+/// Texels around charts that are filled at least; as many as the atlas keeps them apart if that is more.
 const DILATE: u32 = 4;
 
 /// The light of a bake that is done.
@@ -31,6 +32,10 @@ impl Light for Gathered<'_> {
     fn irradiance(&self, texel: u32) -> [f32; 3] {
         let light = self.bake.irradiance(self.state, texel);
         light.unwrap_or(Vec3::ZERO).to_array()
+    }
+
+    fn moment(&self, texel: u32) -> [f32; 3] {
+        self.bake.moment(self.state, texel).to_array()
     }
 
     fn is_known(&self, texel: u32) -> bool {
@@ -58,8 +63,13 @@ pub fn write(
             EngineName::Blender => Engine::Blender,
         },
         denoise: args.denoise.then(DenoiseSettings::default),
-        dilate: DILATE,
+        dilate: DILATE.max(args.work.padding),
         stitch: true,
+        directional: match args.work.directional {
+            DirectionalName::None => Directional::None,
+            DirectionalName::Sh1 => Directional::Sh1,
+            DirectionalName::Dominant => Directional::Dominant,
+        },
     };
     let solids = Solids::of(&setup.loaded.scene);
     let insides = Insides {
@@ -89,6 +99,12 @@ pub fn write(
     output::write(&folder.join(FINGERPRINT), |out| {
         out.write_all(done.as_bytes())
     })?;
+    if exported.adopted > 0 {
+        context.progress.note(&format!(
+            "{} texels of charts that are too small take the light of what is near",
+            exported.adopted
+        ));
+    }
     if exported.filled > 0 {
         context.progress.note(&format!(
             "{} texels lie inside of something and take the light of their neighbours",
@@ -104,7 +120,10 @@ const FINGERPRINT: &str = "fingerprint";
 /// Tells outputs apart, not only what was gathered for them.
 fn fingerprint(args: &BakeArgs, setup: &Setup) -> String {
     let open_ended = (args.work.time_limit, args.work.noise);
-    let text = format!("{:?}", (args.engine, args.denoise, open_ended));
+    let text = format!(
+        "{:?}",
+        (args.engine, args.denoise, args.work.directional, open_ended)
+    );
     format!("{:016x} {text}\n", setup.fingerprint)
 }
 

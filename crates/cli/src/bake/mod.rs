@@ -9,7 +9,7 @@ pub use args::{BakeArgs, PlanArgs};
 use crate::context::Context;
 use crate::error::CliError;
 use crate::{VERSION, output, signals, stats};
-use args::{GatherName, LightPart, WorkArgs};
+use args::{DirectionalName, GatherName, LightPart, WorkArgs};
 use occlude_bake::atlas::{Atlas, Built};
 use occlude_bake::bundle::{self, Triangles};
 use occlude_bake::gather::Part;
@@ -93,7 +93,13 @@ fn prepared<T>(
             + triangles * LEAST_BYTES_PER_TRIANGLE
             + u64::from(built.atlas.texels()) * Bake::least_bytes_per_texel(kind);
         if least.max(stats::peak_memory()) > limit {
-            return Err(too_little_memory(least.max(stats::peak_memory())));
+            return Err(too_little_memory(
+                least.max(stats::peak_memory()),
+                limit,
+                work,
+                &loaded,
+                &built.atlas,
+            ));
         }
     }
     let limit = context.common.memory;
@@ -217,11 +223,33 @@ fn prepared<T>(
 /// Hierarchy and flattened scene, a triangle.
 const LEAST_BYTES_PER_TRIANGLE: u64 = 120;
 
-fn too_little_memory(needed: u64) -> CliError {
+/// Refuses work that needs at least `needed` bytes; says what density would fit, and who has most of the texels.
+fn too_little_memory(
+    needed: u64,
+    limit: u64,
+    work: &WorkArgs,
+    loaded: &Loaded,
+    atlas: &Atlas,
+) -> CliError {
+    // Texels go with the square of the density; the rest stays. Some more than what is missing: small charts do not shrink.
+    let of_texels = u64::from(atlas.texels()) * Bake::least_bytes_per_texel(GatherKind::Bundles);
+    let left = of_texels.saturating_sub(needed.saturating_sub(limit) * 5 / 4);
+    let fits = work.texels_per_metre * (left as f32 / of_texels.max(1) as f32).sqrt();
+    let largest = subject::objects(loaded, atlas).into_iter().next();
+    let largest = largest.map_or(String::new(), |(name, texels)| {
+        let share = 100.0 * texels as f64 / f64::from(atlas.texels().max(1));
+        format!(" ({name} has {share:.0} % of the texels)")
+    });
+    let cure = if fits > 0.1 * work.texels_per_metre {
+        format!("raise it, or lower --texels-per-metre to {fits:.2}{largest}")
+    } else {
+        format!("raise it: the scene itself takes most of that{largest}")
+    };
+    let needed = needed.div_ceil(1 << 20);
     CliError::input(
-        format_args!("the work needs at least {} MiB", needed.div_ceil(1 << 20)),
+        format_args!("the work needs at least {needed} MiB"),
         "--memory",
-        "raise it, or lower --texels-per-metre",
+        cure,
     )
 }
 
@@ -234,7 +262,13 @@ pub fn bake(args: &BakeArgs, context: &mut Context, parts: &[PathBuf]) -> Result
         if let Some(limit) = context.common.memory
             && setup.floor > limit
         {
-            return Err(too_little_memory(setup.floor));
+            return Err(too_little_memory(
+                setup.floor,
+                limit,
+                &args.work,
+                setup.loaded,
+                &setup.built.atlas,
+            ));
         }
         gather(args, setup, bake, context, parts)
     })
@@ -314,7 +348,18 @@ fn gather(
         args.output.display(),
         context.stats.seconds.work
     ));
-    Ok(())
+    let mut lost = setup.built.problems.iter().filter(|problem| problem.lost);
+    match (lost.next(), lost.count()) {
+        (Some(first), others) if whole => Err(CliError::failed(
+            format_args!(
+                "{} meshes have no light map, the others have theirs",
+                others + 1
+            ),
+            &first.mesh,
+            "give them a TEXCOORD_1, or repair them",
+        )),
+        _ => Ok(()),
+    }
 }
 
 /// Runs `occlude plan`.
@@ -495,11 +540,12 @@ fn start(
             header,
             direct,
             previous,
+            direct_moments,
             ..
         } = state;
-        return Ok(bake.begin(header.round, share, direct, previous));
+        return Ok(bake.begin(header.round, share, direct, previous, direct_moments));
     }
-    Ok(bake.begin(0, share, Vec::new(), Vec::new()))
+    Ok(bake.begin(0, share, Vec::new(), Vec::new(), Vec::new()))
 }
 
 /// All parts of a round together.
@@ -660,6 +706,7 @@ fn settings(
         directions: work.total_directions().min(MOST_COUNTED),
         reach: work.ao_distance.unwrap_or(f32::INFINITY),
         seed,
+        directional: work.directional != DirectionalName::None,
         bundles: bundle_settings(atlas, limit),
     }
 }
@@ -699,7 +746,7 @@ fn fingerprint(
                 context.common.memory
             ),
             work.texels_per_metre,
-            work.pages_max,
+            (work.pages_max, work.padding, work.unwrap),
             &work.select,
             work.sky.environment_rotation,
             work.sky.environment_scale,

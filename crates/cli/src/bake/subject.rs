@@ -1,9 +1,10 @@
 //! From options and files to what is baked.
 
-use super::args::WorkArgs;
+use super::args::{UnwrapName, WorkArgs};
+use crate::cache::{self, Cache};
 use crate::context::Context;
 use crate::error::CliError;
-use occlude_bake::atlas::{self, Atlas, AtlasSettings, Built, density};
+use occlude_bake::atlas::{self, Atlas, AtlasSettings, Built, UnwrapKind, density};
 use occlude_bake::rounds::GatherKind;
 use occlude_bake::sky;
 use occlude_image::Picture;
@@ -108,7 +109,16 @@ pub fn atlas(
     }
     let settings = AtlasSettings {
         page_size: work.pages_max,
-        ..AtlasSettings::default()
+        padding: work.padding,
+        unwrap: match work.unwrap {
+            UnwrapName::Projection => UnwrapKind::Projection,
+            UnwrapName::Conformal => UnwrapKind::Conformal,
+        },
+        kept: match &work.cache {
+            Some(Cache(folder)) => folder.clone(),
+            None => cache::default_folder(),
+        },
+        use_given: true,
     };
     let built =
         atlas::build(scene, pose, &densities, &settings, &context.job).map_err(|error| {

@@ -5,6 +5,7 @@
 //! and as-rigid-as-possible refinement): fewer charts with less distortion on curved things, at a hundredth of the speed.
 
 mod conformal;
+mod kept;
 mod overlap;
 mod projection;
 mod topology;
@@ -13,6 +14,7 @@ pub(crate) use overlap::overlap_of;
 pub(crate) use topology::neighbours;
 
 pub use conformal::Conformal;
+pub use kept::Kept;
 pub use projection::Projection;
 
 use glam::{Vec2, Vec3};
