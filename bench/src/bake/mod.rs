@@ -7,7 +7,7 @@ use crate::common::{Report, Row, Setting, median, process_seconds};
 use glam::Vec3;
 use occlude_bake::atlas::Atlas;
 use occlude_bake::bundle::{
-    self, Counting, Directions, Layout, Radiance, Settings, Stats, Triangles,
+    self, Counting, Directions, Layout, MOST_SHARE, Radiance, Settings, Stats, Triangles,
 };
 use occlude_bake::sums::Sums;
 use occlude_bvh::BuildOptions;
@@ -53,8 +53,10 @@ struct Ready<'a> {
 }
 
 impl<'a> Ready<'a> {
-    fn new(subject: &'a Subject, atlas: &'a Atlas) -> Self {
-        let mut triangles = Triangles::new(&subject.scene, &subject.pose, atlas);
+    /// `most_share`: charts up to so many times denser than asked for get lines; infinity: all.
+    fn new(subject: &'a Subject, atlas: &'a Atlas, most_share: f32) -> Self {
+        let mut triangles =
+            Triangles::with_lines_for(&subject.scene, &subject.pose, atlas, most_share);
         triangles.find_backs(0, &Settings::default(), &Job::new());
         let sides = triangles.sides().count();
         // Patches of light: what is read must not be the same everywhere.
@@ -117,7 +119,8 @@ fn exchanges(setting: &Setting, report: &mut Report) {
                 continue;
             }
         };
-        let ready = Ready::new(&subject, &atlas);
+        // Every texel gets its line a direction, however tiny its chart: that is what single rays do, too.
+        let ready = Ready::new(&subject, &atlas, f32::INFINITY);
         let geometry = match Geometry::new(&subject.scene, &subject.pose, &BuildOptions::default())
         {
             Ok(geometry) => geometry,
@@ -269,7 +272,7 @@ fn prediction(setting: &Setting, report: &mut Report) {
         let Ok((atlas, _)) = subject.atlas(texels) else {
             continue;
         };
-        let ready = Ready::new(&subject, &atlas);
+        let ready = Ready::new(&subject, &atlas, MOST_SHARE);
         for counting in [Counting::Sampled, Counting::Area] {
             for alpha in [0.9, 1.0] {
                 let settings = Settings {
@@ -329,7 +332,7 @@ fn sweeps(setting: &Setting, report: &mut Report) {
         let Ok((atlas, _)) = subject.atlas(if setting.quick { 2.5e5 } else { 4e6 }) else {
             continue;
         };
-        let ready = Ready::new(&subject, &atlas);
+        let ready = Ready::new(&subject, &atlas, MOST_SHARE);
         let mut lines_and_nodes: Vec<(u32, u32)> = [64, 128, 256, 512, 1024, 2048]
             .map(|w| (w, 5_000_000))
             .into();
@@ -403,7 +406,7 @@ fn city(setting: &Setting, report: &mut Report) {
         clock.elapsed().as_secs_f64()
     ));
     let clock = Instant::now();
-    let ready = Ready::new(&subject, &atlas);
+    let ready = Ready::new(&subject, &atlas, MOST_SHARE);
     report.note(format!(
         "city: {} triangles, {} backs, flattened and backs found in {:.1} s",
         ready

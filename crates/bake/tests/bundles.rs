@@ -275,12 +275,14 @@ fn moments_say_where_light_comes_from() {
     );
     // Half of an even sky: half its moment along the normal, 2/3 across.
     let expected = Vec3::new(2.0 / 3.0, PI / 3.0, 0.0);
-    for (texel, _) in texels(&atlas, 0) {
-        let moment = sums.moments().unwrap().irradiance(texel).unwrap();
-        assert!((moment - expected).length() < 0.06, "{texel}: {moment}");
-        let all = sums.irradiance(texel).unwrap().x;
-        assert!((all / (0.5 * PI) - 1.0).abs() < 0.04, "{texel}: {all}");
-    }
+    // A texel has some 400 lines, each of them off by about 1.5: 0.02 for the mean of all.
+    let list = texels(&atlas, 0);
+    let moment = |(texel, _): &(u32, Vec2)| sums.moments().unwrap().irradiance(*texel).unwrap();
+    let mean = list.iter().map(moment).sum::<Vec3>() / list.len() as f32;
+    assert!((mean - expected).abs().max_element() < 0.06, "{mean}");
+    let all = list.iter().map(|t| sums.irradiance(t.0).unwrap().x);
+    let all = all.sum::<f32>() / list.len() as f32;
+    assert!((all / (0.5 * PI) - 1.0).abs() < 0.02, "{all}");
 }
 
 #[test]

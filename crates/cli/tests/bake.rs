@@ -45,16 +45,9 @@ fn a_closed_room_has_the_irradiance_of_the_closed_form() {
     let dir = Dir::new();
     dir.must("scene furnace -o f.glb");
     // Albedo and emission are one half: pi e (1 - a^(B+1)) / (1 - a).
-    // With a texel a metre all charts are tiny, and rays go from them.
-    for (gather, bounces, density) in [
-        ("path", 0, 40),
-        ("path", 2, 40),
-        ("bundles", 0, 40),
-        ("bundles", 2, 40),
-        ("bundles", 2, 1),
-    ] {
+    for (gather, bounces) in [("path", 0), ("path", 2), ("bundles", 0), ("bundles", 2)] {
         dir.must(&format!(
-            "bake f.glb -o out --gather {gather} --bounces {bounces} --directions 64 --texels-per-metre {density} --stats s.json"
+            "bake f.glb -o out --gather {gather} --bounces {bounces} --directions 64 --texels-per-metre 40 --stats s.json"
         ));
         let values = lit(&dir.path("out/lightmap_000.exr"));
         let expected = PI * 0.5 * (1.0 - 0.5f64.powi(bounces + 1)) / 0.5;
@@ -119,19 +112,19 @@ fn a_plane_under_a_sun_reads_what_the_engine_wants() {
     }
 }
 
-/// The mean of a channel over texels with light.
+/// The median of a channel over texels with light.
 fn channel(path: &Path, name: &str) -> f64 {
     let layers = occlude_image::read_layers(path, &Limits::default()).unwrap();
     let all = |name: &str| layers.channel(name).unwrap().values.clone();
     let (values, light) = (all(name), all("raw.G"));
     let lit = values.iter().zip(light).filter(|(_, light)| *light > 0.0);
-    mean(&lit.map(|(value, _)| f64::from(*value)).collect::<Vec<_>>())
+    median(lit.map(|(value, _)| f64::from(*value)).collect())
 }
 
 #[test]
 fn directions_are_those_of_the_light() {
     let dir = Dir::new();
-    // The same radiance everywhere: irradiance does not depend on the normal.
+    // The same radiance everywhere but below the boxes: irradiance does not depend on the normal.
     dir.must("scene furnace -o f.glb");
     for gather in ["path", "bundles"] {
         dir.must(&format!(

@@ -38,7 +38,7 @@ pub use analysis::Counting;
 pub(crate) use closed::is_closed;
 pub use frame::Directions;
 pub use radiance::Radiance;
-pub use triangles::{Sides, Triangles};
+pub use triangles::{MOST_SHARE, Sides, Triangles};
 
 use crate::sums::{Sums, Unit};
 use analysis::Maps;

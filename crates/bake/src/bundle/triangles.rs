@@ -102,7 +102,7 @@ const MIRRORED: u32 = 1 << 30;
 const TINY: u32 = 1 << 29;
 
 /// Charts with more texels per m² than so many times what was asked for are tiny: a ray each costs less than lines for all.
-const MOST_SHARE: f32 = 4.0;
+pub const MOST_SHARE: f32 = 4.0;
 
 /// All triangles of a posed scene with their places in the light map.
 #[derive(Debug)]
