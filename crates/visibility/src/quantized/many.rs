@@ -35,7 +35,6 @@ const NONE: u32 = u32::MAX;
 /// Buffers of one worker.
 #[derive(Debug, Default)]
 pub(super) struct Scratch {
-    numbering: Numbering,
     wanted: Vec<u16>,
     /// Answers to what was wanted.
     visible: Vec<u16>,
@@ -67,8 +66,11 @@ struct Reach {
 struct Level {
     /// The cell of each eye; [`NONE`] for eyes that have no cells.
     cell_of: Vec<u32>,
+    cells: Vec<Cell>,
     hashes: Vec<u64>,
-    neighbours: Vec<[u32; 4]>,
+    numbering: Numbering,
+    /// Sought when a cell is first compared with them: few of the finest are.
+    neighbours: Vec<Option<[u32; 4]>>,
     /// What is known about the current block.
     words: Vec<Word>,
     /// The words hold what earlier pictures knew.
@@ -299,7 +301,7 @@ impl Scratch {
             .resize_with(extent.levels as usize, Level::default);
         for (depth, level) in reach.levels.iter_mut().enumerate() {
             let error = extent.error / (1u32 << depth.min(31)) as f32;
-            level.number_cells(strategy, eyes, error, eye_passes, &mut self.numbering);
+            level.number_cells(strategy, eyes, error, eye_passes);
             if let Some(past) = strategy.past() {
                 past.rows(&level.hashes, &mut level.rows);
             }
@@ -365,7 +367,7 @@ impl Scratch {
                 self.trace(tracer, eyes, lights, Some((level, group)), stats);
                 self.store(level, group, behind, stats);
                 let last = depth + 1 == levels;
-                self.refine(level, segment, depth, last, unbiased, decisions);
+                self.refine(strategy, level, segment, depth, last, decisions);
                 if unbiased {
                     self.trace(tracer, eyes, lights, None, stats);
                 }
@@ -512,13 +514,14 @@ impl Scratch {
     /// Answers from the clusters; questions whose neighbours disagree go to the next level.
     fn refine(
         &mut self,
+        strategy: &Quantized,
         level: &mut Level,
         segment: u8,
         depth: usize,
         last: bool,
-        unbiased: bool,
         decisions: &mut Decisions,
     ) {
+        let unbiased = strategy.settings.guarantee == Guarantee::Unbiased;
         self.next.clear();
         for active in &self.active {
             if active.lights == 0 {
@@ -529,7 +532,7 @@ impl Scratch {
             let disagree = if last && !unbiased {
                 0
             } else {
-                active.lights & level.differs(cell, segment)
+                active.lights & level.differs(&strategy.grids, cell, segment)
             };
             let mut settled = active.lights & !disagree;
             if last {
@@ -622,17 +625,21 @@ impl Level {
     /// Bits of known answers that differ from those of a known neighbour, found once a cell and segment: nothing new becomes
     /// known while the eyes of a segment are answered.
     #[inline]
-    fn differs(&mut self, cell: usize, segment: u8) -> u16 {
+    fn differs(&mut self, grids: &Grids, cell: usize, segment: u8) -> u16 {
         if self.words[cell].compared != segment {
-            self.compare(cell);
+            self.compare(grids, cell);
             self.words[cell].compared = segment;
         }
         self.words[cell].differs
     }
 
-    fn compare(&mut self, cell: usize) {
+    fn compare(&mut self, grids: &Grids, cell: usize) {
         let own = self.words[cell].answers;
-        let differing = self.neighbours[cell]
+        let neighbours = *self.neighbours[cell].get_or_insert_with(|| {
+            let beside = |neighbour| self.numbering.beside(grids, neighbour).unwrap_or(NONE);
+            self.cells[cell].neighbours().map(beside)
+        });
+        let differing = neighbours
             .iter()
             .filter(|&&neighbour| neighbour != NONE)
             .map(|&neighbour| {
@@ -643,20 +650,19 @@ impl Level {
         self.words[cell].differs = differing & own.known;
     }
 
-    /// Finds the cell of each eye, and the neighbours of each cell.
+    /// Finds the cell of each eye.
     fn number_cells(
         &mut self,
         strategy: &Quantized,
         eyes: &[EyeSample],
         error: f32,
         eye_passes: f32,
-        numbering: &mut Numbering,
     ) {
         let grids = &strategy.grids;
         self.cell_of.clear();
+        self.cells.clear();
         self.hashes.clear();
-        numbering.clear(eyes.len());
-        let mut cells: Vec<Cell> = Vec::new();
+        self.numbering.clear(eyes.len());
         for eye in eyes {
             let cell = known(eye.end.density)
                 .zip(grids.orientation(eye.end.normal))
@@ -668,20 +674,19 @@ impl Level {
                 None => NONE,
                 Some(cell) => {
                     let hash = cell.half();
-                    let number = numbering.find_or_insert(hash, self.hashes.len() as u32);
+                    let number = self
+                        .numbering
+                        .find_or_insert(hash, self.hashes.len() as u32);
                     if number as usize == self.hashes.len() {
                         self.hashes.push(hash);
-                        cells.push(cell);
+                        self.cells.push(cell);
                     }
                     number
                 }
             });
         }
         self.neighbours.clear();
-        self.neighbours.extend(cells.iter().map(|cell| {
-            cell.neighbours()
-                .map(|neighbour| numbering.beside(grids, neighbour).unwrap_or(NONE))
-        }));
+        self.neighbours.resize(self.cells.len(), None);
     }
 }
 
