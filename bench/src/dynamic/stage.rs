@@ -11,8 +11,9 @@ use occlude_render::integrator::{Integrator, RenderReport, RenderSettings, Seque
 use occlude_render::job::Job;
 use occlude_render::light::{Environment, LightSelection, Lights, SkyLobes};
 use occlude_render::sampling::SamplerKind;
+use occlude_scene::procedural::{Name, build};
 use occlude_scene::{Pose, Scene};
-use occlude_visibility::Exact;
+use occlude_visibility::{Exact, Ray};
 use std::time::Instant;
 
 /// Frames a second of the animation.
@@ -35,19 +36,55 @@ pub struct Shot {
 }
 
 impl Stage {
+    /// One of our own moving scenes, under a sky of the public set; `None` (said aloud) if that is missing.
+    pub fn procedural(setting: &Setting, name: Name, sky: &str) -> Option<Self> {
+        if !setting.wants(name.as_str()) {
+            return None;
+        }
+        match Self::read_sky(setting, sky) {
+            Some(sky) => Some(Self {
+                name: name.as_str(),
+                scene: build(name, None, 0),
+                sky,
+            }),
+            None => {
+                eprintln!("SKIPPED {}: its sky is missing", name.as_str());
+                None
+            }
+        }
+    }
+
+    fn read_sky(setting: &Setting, sky: &str) -> Option<Environment> {
+        let file = setting.scenes.join("env").join(sky);
+        let image = occlude_image::read(&file, &Limits::default()).ok()?;
+        Some(Environment::from_picture(&image.picture, 0.0, 1.0))
+    }
+
+    /// The picture of 4:3 in which about so many pixels see a surface, in the pose of a frame.
+    pub fn size_for(&self, frame: u32, covered: u32) -> [u32; 2] {
+        let pose = self.pose(frame);
+        let options = BuildOptions::default();
+        let geometry = Geometry::new(&self.scene, &pose, &options).expect("a scene with triangles");
+        let (width, height) = (160, 120);
+        let view = self.view(&pose, [width, height]);
+        let pixels = (0..width * height)
+            .map(|i| Vec2::new((i % width) as f32 + 0.5, (i / width) as f32 + 0.5));
+        let rays: Vec<Ray> = pixels.map(|pixel| view.ray(pixel).ray).collect();
+        let mut hits = vec![None; rays.len()];
+        geometry.closest_batch(&rays, &mut hits);
+        let seen = hits.iter().flatten().count().max(1) as f32;
+        let scale = (covered as f32 / seen).sqrt();
+        [width, height].map(|side| (side as f32 * scale).round() as u32)
+    }
+
     /// Loads a scene of the public set with one of its skies; `None` (said aloud) if either is missing.
     pub fn load(setting: &Setting, name: &'static str, file: &str, sky: &str) -> Option<Self> {
         if !setting.wants(name) {
             return None;
         }
-        let sky_file = setting.scenes.join("env").join(sky);
-        let sky = occlude_image::read(&sky_file, &Limits::default());
+        let sky = Self::read_sky(setting, sky);
         match (Scene::load(&setting.scenes.join(file), None, None), sky) {
-            (Ok(scene), Ok(sky)) => Some(Self {
-                name,
-                scene,
-                sky: Environment::from_picture(&sky.picture, 0.0, 1.0),
-            }),
+            (Ok(scene), Some(sky)) => Some(Self { name, scene, sky }),
             _ => {
                 eprintln!("SKIPPED {name}: {file} or its sky is missing");
                 None

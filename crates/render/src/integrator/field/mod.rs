@@ -14,6 +14,7 @@
 //!
 //! Wrong tool for indirect light, for transmission other than by clear panes (it is left out), and for mirrors (one exact ray each).
 
+mod batch;
 mod eyes;
 mod gloss;
 mod math;
@@ -36,7 +37,7 @@ use occlude_visibility::VisibilityStats;
 use occlude_visibility::field::{MapSampling, Metric};
 use points::{Changes, Points, Reach, Round};
 use rayon::prelude::*;
-use shade::{Counts, Scratch, Shaded, Shading};
+use shade::{Counts, Scratch, Shaded, Shading, Spot};
 use sky::Sky;
 use std::time::Instant;
 
@@ -61,6 +62,8 @@ pub struct Field {
     pub edge_samples: u32,
     /// Rays a shading point for emissive surfaces and suns.
     pub light_samples: u32,
+    /// Neighbouring pixels share distances where they may; otherwise each reads the fields by itself, which is slower and hardly more exact.
+    pub shared: bool,
 }
 
 impl Default for Field {
@@ -75,6 +78,7 @@ impl Default for Field {
             gloss_lobes: 2,
             edge_samples: 4,
             light_samples: 4,
+            shared: true,
         }
     }
 }
@@ -320,28 +324,29 @@ fn shade(shading: &Shading, eyes: &Eyes, settings: &RenderSettings, film: &mut F
     let more: Vec<(Vec<(u16, Shaded)>, Counts)> = (eyes.tiles.par_iter())
         .map_init(Scratch::default, |scratch, tile| {
             scratch.counts = Counts::default();
-            let mut out = Vec::new();
+            let (mut pixels, mut spots) = (Vec::new(), Vec::new());
             for i in 0..tile.width * tile.height {
-                let (x, y) = (tile.x + i % tile.width, tile.y + i / tile.width);
-                let edge = if is_edge(x, y) {
+                let (x, y) = (i % tile.width, i / tile.width);
+                let edge = if is_edge(tile.x + x, tile.y + y) {
                     shading.settings.edge_samples
                 } else {
                     0
                 };
-                let count = all.max(edge);
-                if count == 0 {
-                    continue;
+                for number in 1..=all.max(edge) {
+                    let turn = |step: f32| (step * number as f32 + 0.5).fract();
+                    let uv = Vec2::new(turn(0.754_877_7), turn(0.569_840_3));
+                    let place = Vec2::new(x as f32, y as f32) + settings.filter.offset(uv);
+                    pixels.push(i as u16);
+                    spots.push(Spot {
+                        x: place.x,
+                        y: place.y,
+                        seed: [tile.x + x, tile.y + y],
+                        number,
+                    });
                 }
-                let points: Vec<Vec2> = (1..=count)
-                    .map(|k| {
-                        let [u, v] = [0.754_877_7 * k as f32 + 0.5, 0.569_840_3 * k as f32 + 0.5];
-                        let offset = settings.filter.offset(Vec2::new(u.fract(), v.fract()));
-                        Vec2::new(x as f32 + 0.5, y as f32 + 0.5) + offset
-                    })
-                    .collect();
-                let shaded = shading.more(&points, scratch);
-                out.extend(shaded.into_iter().map(|shaded| (i as u16, shaded)));
             }
+            let shaded = shading.more(tile, &spots, scratch);
+            let out = pixels.into_iter().zip(shaded).collect();
             (out, scratch.counts)
         })
         .collect();

@@ -1,12 +1,13 @@
 //! From sample points to pixels: neighbours are found and weighed, the sky's lobes meet the surface's, lights without size are asked by rays.
 
+use super::batch::{ANCHORS, AT, Anchors, Batch, ITEMS, Predicted};
 use super::eyes::{Eye, Panes, Tile, look};
 use super::gloss;
 use super::math::{exp, wide};
 use super::points::{Points, Reach};
 use super::sky::{Sky, WIDE};
 use super::{Field, World};
-use crate::bsdf::{Bsdf, Gloss};
+use crate::bsdf::{Bsdf, Gloss, Reflection};
 use crate::camera::View;
 use crate::film::Features;
 use crate::geometry::Surface;
@@ -38,9 +39,8 @@ pub(super) struct Shading<'f, 'a> {
 /// Buffers of one worker.
 #[derive(Debug, Default)]
 pub(super) struct Scratch {
-    /// Points that reach a ball: its centre and radius.
+    /// Points that reach the surfaces at hand.
     ids: Vec<u32>,
-    ball: Option<(Vec3, f32)>,
     sites: Sites,
     distances: Vec<f32>,
     near: Vec<(u32, f32)>,
@@ -51,6 +51,12 @@ pub(super) struct Scratch {
     eyes: Vec<Option<Eye>>,
     panes: Vec<Panes>,
     lines: Vec<Ray>,
+    spots: Vec<Spot>,
+    anchors: Anchors,
+    predicted: Vec<Option<Predicted>>,
+    batch: Batch,
+    /// Which pixels the batch is of.
+    batched: Vec<u16>,
     pub(super) counts: Counts,
 }
 
@@ -75,57 +81,84 @@ pub(super) struct Shaded {
     pub(super) features: Features,
 }
 
+/// Where a shading point lies in its tile, and its random numbers.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Spot {
+    /// Pixels from the middle of the tile's first pixel.
+    pub(super) x: f32,
+    pub(super) y: f32,
+    pub(super) seed: [u32; 2],
+    pub(super) number: u32,
+}
+
 impl Shading<'_, '_> {
     /// Shades the middles of a tile's pixels.
     pub(super) fn tile(&self, tile: &Tile, scratch: &mut Scratch) -> Vec<Shaded> {
-        scratch.lines.clear();
-        let points = (0..tile.width * tile.height).map(|i| {
-            let (x, y) = (tile.x + i % tile.width, tile.y + i / tile.width);
-            Vec2::new(x as f32 + 0.5, y as f32 + 0.5)
-        });
-        scratch
-            .lines
-            .extend(points.map(|point| self.view.ray(point).ray));
-        let lines = std::mem::take(&mut scratch.lines);
+        let mut lines = std::mem::take(&mut scratch.lines);
+        let mut spots = std::mem::take(&mut scratch.spots);
+        lines.clear();
+        spots.clear();
+        for number in 0..tile.width * tile.height {
+            let (x, y) = (number % tile.width, number / tile.width);
+            lines.push(self.line(tile, x as f32, y as f32));
+            spots.push(Spot {
+                x: x as f32,
+                y: y as f32,
+                seed: [tile.x, tile.y],
+                number,
+            });
+        }
         self.gather(tile.centre, tile.radius, scratch);
-        let out = self.shade(&lines, &tile.eyes, &tile.panes, [tile.x, tile.y], scratch);
-        scratch.lines = lines;
+        let mut out = Vec::with_capacity(lines.len());
+        self.shade(
+            tile,
+            &lines,
+            &spots,
+            &tile.eyes,
+            &tile.panes,
+            scratch,
+            &mut out,
+        );
+        (scratch.lines, scratch.spots) = (lines, spots);
         out
     }
 
-    /// Shades other points of the picture, near each other.
-    pub(super) fn more(&self, points: &[Vec2], scratch: &mut Scratch) -> Vec<Shaded> {
-        let lines: Vec<Ray> = points.iter().map(|p| self.view.ray(*p).ray).collect();
+    /// Shades other points of a tile.
+    pub(super) fn more(&self, tile: &Tile, spots: &[Spot], scratch: &mut Scratch) -> Vec<Shaded> {
+        let mut lines = std::mem::take(&mut scratch.lines);
         let (mut eyes, mut panes) = (
             std::mem::take(&mut scratch.eyes),
             std::mem::take(&mut scratch.panes),
         );
-        look(self.world.geometry, &lines, &mut eyes, &mut panes);
-        scratch.counts.primary += lines.len() as u64;
-        let (mut low, mut high) = (Vec3::splat(f32::INFINITY), Vec3::splat(f32::NEG_INFINITY));
-        for eye in eyes.iter().flatten() {
-            low = low.min(eye.position);
-            high = high.max(eye.position);
-        }
-        if low.x <= high.x {
-            let (centre, radius) = ((low + high) * 0.5, (high - low).length() * 0.5);
-            let known = (scratch.ball)
-                .is_some_and(|(ball, reach)| (centre - ball).length() + radius <= reach);
-            if !known {
-                // Other pixels of the tile will ask about the surroundings.
-                self.gather(centre, 4.0 * radius, scratch);
+        let mut out = Vec::with_capacity(spots.len());
+        for spots in spots.chunks(ITEMS) {
+            lines.clear();
+            lines.extend(spots.iter().map(|spot| self.line(tile, spot.x, spot.y)));
+            look(self.world.geometry, &lines, &mut eyes, &mut panes);
+            scratch.counts.primary += lines.len() as u64;
+            let (mut low, mut high) = (Vec3::splat(f32::INFINITY), Vec3::splat(f32::NEG_INFINITY));
+            for eye in eyes.iter().flatten() {
+                low = low.min(eye.position);
+                high = high.max(eye.position);
             }
+            if low.x <= high.x {
+                self.gather((low + high) * 0.5, (high - low).length() * 0.5, scratch);
+            }
+            self.shade(tile, &lines, spots, &eyes, &panes, scratch, &mut out);
         }
-        let seed = points.first().map_or([0; 2], |p| [p.x as u32, p.y as u32]);
-        let out = self.shade(&lines, &eyes, &panes, seed, scratch);
-        (scratch.eyes, scratch.panes) = (eyes, panes);
+        (scratch.lines, scratch.eyes, scratch.panes) = (lines, eyes, panes);
         out
+    }
+
+    /// The line of sight so many pixels from the middle of the tile's first pixel.
+    fn line(&self, tile: &Tile, x: f32, y: f32) -> Ray {
+        let corner = Vec2::new(tile.x as f32 + 0.5, tile.y as f32 + 0.5);
+        self.view.ray(corner + Vec2::new(x, y)).ray
     }
 
     /// Collects the points that reach a ball.
     fn gather(&self, centre: Vec3, radius: f32, scratch: &mut Scratch) {
         self.reach.around(centre, radius.max(0.0), &mut scratch.ids);
-        scratch.ball = Some((centre, radius));
         scratch.sites.clear();
         for &id in &scratch.ids {
             let spot = &self.points.list[id as usize].spot;
@@ -133,20 +166,74 @@ impl Shading<'_, '_> {
         }
     }
 
+    /// What the tile's anchors say about shading points: nothing, where too few are as they predict.
+    fn predict(&self, tile: &Tile, spots: &[Spot], eyes: &[Option<Eye>], scratch: &mut Scratch) {
+        /// Nine anchors cost as much as so many points by themselves.
+        const FEWEST: usize = 14;
+        let Scratch {
+            anchors, predicted, ..
+        } = scratch;
+        predicted.clear();
+        if !self.settings.shared || self.sky.len() == 0 || tile.is_empty() || spots.len() < FEWEST {
+            predicted.resize(spots.len(), None);
+            return;
+        }
+        let mut at = [None; ANCHORS];
+        let mut toward_eye = [Vec3::ZERO; ANCHORS];
+        for (k, (at, toward)) in at.iter_mut().zip(&mut toward_eye).enumerate() {
+            let (x, y) = (AT[k % AT.len()], AT[k / AT.len()]);
+            if x < tile.width && y < tile.height {
+                *at = tile.eyes[(y * tile.width + x) as usize];
+                *toward = -self.line(tile, x as f32, y as f32).direction;
+            }
+        }
+        let (a, b) = (self.line(tile, 0.0, 0.0), self.line(tile, 1.0, 0.0));
+        let pixel = [
+            (b.direction - a.direction).length(),
+            (b.origin - a.origin).length(),
+        ];
+        anchors.set(at, toward_eye, pixel);
+        let found = spots.iter().zip(eyes).map(|(spot, eye)| {
+            let eye = eye.as_ref()?;
+            anchors.predict(eye, spot.x, spot.y)
+        });
+        predicted.extend(found);
+        if predicted.iter().flatten().count() < FEWEST {
+            predicted.fill(None);
+            return;
+        }
+        let mut anchors = std::mem::take(anchors);
+        for (k, at) in at.iter().enumerate() {
+            if let Some(eye) = at {
+                self.weigh(eye, scratch);
+                anchors.speak(k, &scratch.near);
+            }
+        }
+        anchors.look(self.points, self.sky.len());
+        scratch.anchors = anchors;
+    }
+
+    #[allow(clippy::too_many_arguments)]
     fn shade(
         &self,
+        tile: &Tile,
         lines: &[Ray],
+        spots: &[Spot],
         eyes: &[Option<Eye>],
         panes: &[Panes],
-        seed: [u32; 2],
         scratch: &mut Scratch,
-    ) -> Vec<Shaded> {
+        out: &mut Vec<Shaded>,
+    ) {
         scratch.asked.clear();
         scratch.rays.clear();
+        scratch.batch.clear();
+        scratch.batched.clear();
+        self.predict(tile, spots, eyes, scratch);
+        let first = out.len();
         let lights = self.world.lights;
-        let mut out: Vec<Shaded> = (lines.iter().zip(eyes).enumerate())
-            .map(|(i, (line, eye))| match eye {
-                Some(eye) => self.surface(i as u16, line, eye, seed, scratch),
+        for (i, ((line, eye), spot)) in lines.iter().zip(eyes).zip(spots).enumerate() {
+            out.push(match eye {
+                Some(eye) => self.surface(i as u16, line, eye, spot, scratch),
                 None => {
                     let radiance = lights.environment(line.direction);
                     let albedo = radiance.clamp(Vec3::ZERO, Vec3::ONE);
@@ -158,8 +245,16 @@ impl Shading<'_, '_> {
                         },
                     }
                 }
-            })
-            .collect();
+            });
+        }
+        let out = &mut out[first..];
+        if !scratch.batch.is_empty() {
+            let batch = &mut scratch.batch;
+            batch.light(self.points, self.sky, &scratch.anchors);
+            for (item, &pixel) in scratch.batched.iter().enumerate() {
+                out[usize::from(pixel)].radiance += batch.radiance(item);
+            }
+        }
         let geometry = self.world.geometry;
         scratch.blocked.clear();
         scratch.blocked.resize(scratch.rays.len(), false);
@@ -186,7 +281,6 @@ impl Shading<'_, '_> {
                     self.mirror(&surface, -line.direction, &gloss, &mut scratch.counts);
             }
         }
-        out
     }
 
     fn surface(
@@ -194,7 +288,7 @@ impl Shading<'_, '_> {
         pixel: u16,
         line: &Ray,
         eye: &Eye,
-        seed: [u32; 2],
+        spot: &Spot,
         scratch: &mut Scratch,
     ) -> Shaded {
         let geometry = self.world.geometry;
@@ -218,31 +312,31 @@ impl Shading<'_, '_> {
         let bsdf = Bsdf::new(&surface.bsdf_parameters(geometry), wo);
         let reflection = bsdf.reflection();
         if self.sky.len() > 0 {
-            self.weigh(eye, scratch);
-            if reflection.cosine != Vec3::ZERO {
-                self.interpolate_seen(scratch);
-                let irradiance = self.sky.irradiance(normal, &scratch.seen);
-                radiance += reflection.cosine * irradiance * FRAC_1_PI;
-            }
+            let coat = reflection
+                .coat
+                .map(|(gloss, own)| (gloss, surface.world_from_local * own));
+            let glosses = [Some((reflection.gloss, normal)), coat];
+            radiance += self.under_sky(
+                pixel,
+                eye,
+                toward_eye,
+                &reflection,
+                glosses,
+                normal,
+                scratch,
+            );
         }
-        let coat = reflection
-            .coat
-            .map(|(gloss, own)| (gloss, surface.world_from_local * own));
-        for (gloss, about) in [Some((reflection.gloss, normal)), coat]
-            .into_iter()
-            .flatten()
-        {
-            if gloss.albedo == Vec3::ZERO {
-                continue;
-            }
+        let mirrors = [
+            Some(&reflection.gloss),
+            reflection.coat.as_ref().map(|(gloss, _)| gloss),
+        ];
+        for gloss in mirrors.into_iter().flatten() {
             if gloss.alpha == 0.0 {
-                radiance += self.mirror(&surface, toward_eye, &gloss, &mut scratch.counts);
-            } else if self.sky.len() > 0 {
-                radiance += self.glossy(about, toward_eye, &gloss, scratch);
+                radiance += self.mirror(&surface, toward_eye, gloss, &mut scratch.counts);
             }
         }
         if !bsdf.is_delta() {
-            self.ask_lights(pixel, &surface, &bsdf, wo, seed, scratch);
+            self.ask_lights(pixel, &surface, &bsdf, wo, spot, scratch);
         }
         Shaded {
             radiance,
@@ -252,6 +346,65 @@ impl Shading<'_, '_> {
                 depth: eye.hit.t,
             },
         }
+    }
+
+    /// What lobes of the sky bring to a pixel by itself; what can be had from the anchors goes to the batch.
+    #[allow(clippy::too_many_arguments)]
+    fn under_sky(
+        &self,
+        pixel: u16,
+        eye: &Eye,
+        toward_eye: Vec3,
+        reflection: &Reflection,
+        glosses: [Option<(Gloss, Vec3)>; 2],
+        normal: Vec3,
+        scratch: &mut Scratch,
+    ) -> Vec3 {
+        let predicted = scratch.predicted[usize::from(pixel)];
+        let mut radiance = Vec3::ZERO;
+        let mut weighed = false;
+        let mut weigh = |scratch: &mut Scratch| {
+            if !std::mem::replace(&mut weighed, true) {
+                self.weigh(eye, scratch);
+            }
+        };
+        let mut item = None;
+        if let Some(at) = &predicted {
+            item = Some(scratch.batch.push(at, normal, reflection.cosine));
+            scratch.batched.push(pixel);
+        } else if reflection.cosine != Vec3::ZERO {
+            weigh(scratch);
+            self.interpolate_seen(scratch);
+            let irradiance = self.sky.irradiance(normal, &scratch.seen);
+            radiance += reflection.cosine * irradiance * FRAC_1_PI;
+        }
+        let count = self.settings.gloss_lobes as usize;
+        for (number, (gloss, about)) in glosses.into_iter().flatten().enumerate() {
+            let cos_o = about.dot(toward_eye);
+            if gloss.albedo == Vec3::ZERO || gloss.alpha == 0.0 || cos_o <= 0.0 {
+                continue;
+            }
+            let axis = 2.0 * cos_o * about - toward_eye;
+            let lobes = gloss::lobes(gloss.alpha, cos_o, count);
+            for (k, lobe) in lobes.iter().enumerate() {
+                if lobe.amplitude <= 0.0 {
+                    continue;
+                }
+                let amplitude = gloss.albedo * lobe.amplitude;
+                match (item, &predicted) {
+                    (Some(item), Some(at)) if at.leads_to(axis, lobe.sharpness) => {
+                        let layer = number * count + k;
+                        let batch = &mut scratch.batch;
+                        batch.gloss(item, layer, axis, lobe.sharpness, amplitude);
+                    }
+                    _ => {
+                        weigh(scratch);
+                        radiance += in_lobe(self, axis, lobe.sharpness, &scratch.near) * amplitude;
+                    }
+                }
+            }
+        }
+        radiance
     }
 
     /// Finds the points that speak for a place; their weights sum to 1.
@@ -353,22 +506,6 @@ impl Shading<'_, '_> {
         }
     }
 
-    /// The sky in a glossy reflection about a normal.
-    fn glossy(&self, normal: Vec3, toward_eye: Vec3, gloss: &Gloss, scratch: &Scratch) -> Vec3 {
-        let cos_o = normal.dot(toward_eye);
-        if cos_o <= 0.0 {
-            return Vec3::ZERO;
-        }
-        let axis = 2.0 * cos_o * normal - toward_eye;
-        let lobes = gloss::lobes(gloss.alpha, cos_o, self.settings.gloss_lobes as usize);
-        let mut sum = Vec3::ZERO;
-        for lobe in lobes.iter().filter(|lobe| lobe.amplitude > 0.0) {
-            let arrives = in_lobe(self, axis, lobe.sharpness, &scratch.near);
-            sum += arrives * lobe.amplitude;
-        }
-        sum * gloss.albedo
-    }
-
     /// What a mirror shows of the sky and of emissive surfaces: one ray.
     fn mirror(
         &self,
@@ -404,7 +541,7 @@ impl Shading<'_, '_> {
         surface: &Surface,
         bsdf: &Bsdf,
         wo: Vec3,
-        seed: [u32; 2],
+        spot: &Spot,
         scratch: &mut Scratch,
     ) {
         let geometry = self.world.geometry;
@@ -442,8 +579,8 @@ impl Shading<'_, '_> {
         let rays_each = self.settings.light_samples.max(1);
         let normal = surface.shading_normal();
         for sample in 0..rays_each {
-            let number = u32::from(pixel) * rays_each + sample;
-            let mut sampler = Sampler::new(SamplerKind::Sobol, self.seed, seed, number);
+            let number = spot.number * rays_each + sample;
+            let mut sampler = Sampler::new(SamplerKind::Sobol, self.seed, spot.seed, number);
             let [u, v, pick, _] = sampler.next();
             let share = 1.0 / rays_each as f32;
             for sun in &self.sky.suns {

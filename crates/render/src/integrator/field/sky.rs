@@ -1,6 +1,6 @@
 //! The sky as lobes, in the order and layout that shading wants.
 
-use super::math::{exp, wide};
+use super::math::{asin, exp, wide};
 use crate::light::{SkyLobes, SkySun};
 use glam::Vec3;
 use occlude_visibility::field::{Hemisphere, SphericalGaussian, VisibilityMap, VisibleShare};
@@ -19,17 +19,17 @@ pub(super) struct Sky {
     pub(super) sharpness: Vec<f32>,
     pub(super) amplitude: [Vec<f32>; 3],
     /// Irradiance of a lobe of amplitude 1 by the cosine `m` between normal and axis: `slope * bend(m, width) + bias`, at least 0.
-    slope: Vec<f32>,
-    bias: Vec<f32>,
-    width: Vec<f32>,
+    pub(super) slope: Vec<f32>,
+    pub(super) bias: Vec<f32>,
+    pub(super) width: Vec<f32>,
     /// Lobes that are broad: a number of whole vectors; and all.
-    broad: usize,
+    pub(super) broad: usize,
     pub(super) suns: Vec<SkySun>,
 }
 
 /// 0 far below 0, `m` far above, a parabola in between.
 #[inline(always)]
-fn bend(m: f32, width: f32) -> f32 {
+pub(super) fn bend(m: f32, width: f32) -> f32 {
     let rise = m + width;
     let parabola = rise * rise / (4.0 * width);
     let above = if m > width { m } else { parabola };
@@ -136,7 +136,7 @@ fn irradiance(sky: &Sky, normal: Vec3, seen: &[f32]) -> Vec3 {
             let sharpness = lanes(&sky.sharpness);
             for k in 0..WIDE {
                 // Of what an empty surface would see of the lobe, the share that the nearest edge leaves.
-                let horizon = cos[k].clamp(-1.0, 1.0).asin();
+                let horizon = asin(cos[k]);
                 let free = share.at(horizon, sharpness[k]);
                 let left = share.at(seen[k].min(horizon), sharpness[k]);
                 seen[k] = if free > 1e-3 { left / free } else { 0.0 };

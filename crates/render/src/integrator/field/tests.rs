@@ -236,6 +236,29 @@ fn pictures_are_those_of_path_tracing() {
     }
 }
 
+/// Distances that pixels share make the picture that each pixel's own make.
+#[test]
+fn pixels_share_distances() {
+    let sky = sky(&[
+        lobe([0.0, 1.0, 0.0], 0.8, [0.25, 0.3, 0.4]),
+        lobe([1.0, 0.7, 0.3], 60.0, [8.0, 7.0, 5.0]),
+        lobe([-0.3, 0.8, -0.6], 200.0, [12.0, 12.0, 14.0]),
+    ]);
+    let view = view(160, 120);
+    for roughness in [0.2, 0.35, 0.6] {
+        let scene = still_life(roughness);
+        let shared = field(&scene, &sky, &view, Field::default());
+        let alone = Field {
+            shared: false,
+            ..Field::default()
+        };
+        let (energy, wrong) = compare(&shared, &field(&scene, &sky, &view, alone));
+        println!("{roughness}: energy {energy:+.5}, relative squares {wrong:.6}");
+        assert!(energy.abs() < 0.002 && wrong < 2e-4, "{energy} {wrong}");
+        assert!(wrong > 0.0, "nothing was shared");
+    }
+}
+
 /// Where nothing is in the way, the picture is that of unshadowed lobes: a white floor in an even sky is as bright as the sky.
 #[test]
 fn nothing_is_lost_where_nothing_is_in_the_way() {

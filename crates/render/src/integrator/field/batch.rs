@@ -1,0 +1,618 @@
+//! Light for many pixels of a tile at once.
+//!
+//! Distances are made to be interpolated: between sample points, as in Wang et al. 2013, and just as well between pixels. So the fields are read
+//! at nine **anchors** of a tile alone, for the directions that matter there. Pixels between them take their distances from the four around
+//! ([`Anchors`]), and everything else (products of lobes, shares, albedos) is theirs alone, so that textures stay as sharp as they are.
+//!
+//! A product of a lobe of the sky and one of the surface lies on the arc between them, nearer to the narrower. Where roughness differs within the tile, distances
+//! are read at several places of the arc.
+//!
+//! Distances change by no more than the direction does, and weights of sample points slowly, so that the error is bounded by how far a pixel is
+//! from what its anchors predict: its place, its normal, and the axis of its reflection in widths of the lobe. Pixels that are not as
+//! predicted (edges, bumps) are shaded one by one: that is the slow twin, which tests compare with.
+
+use super::eyes::Eye;
+use super::math::{asin, exp, wide};
+use super::points::Points;
+use super::sky::{Sky, WIDE, bend};
+use glam::Vec3;
+use occlude_visibility::field::VisibleShare;
+
+/// Pixels of a batch.
+pub(super) const ITEMS: usize = 64;
+const CHUNKS: usize = ITEMS / WIDE;
+
+/// Anchors along a side of a tile, in all, and their pixels.
+const SIDE: usize = 3;
+pub(super) const ANCHORS: usize = SIDE * SIDE;
+pub(super) const AT: [u32; SIDE] = [0, 4, 7];
+
+/// What brings less than this share of a pixel's light is left out.
+const NEGLIGIBLE: f32 = 2e-3;
+/// Places on an arc at most, and how far apart they are, in widths of the product.
+const MOST_NODES: usize = 4;
+const NODE_STEP: f32 = 0.6;
+/// How far from its prediction the axis of a reflection may be, in widths of the lobe.
+const AXIS_OFF: f32 = 0.15;
+
+/// A number a pixel.
+type Column = [f32; ITEMS];
+
+/// Glossy lobes, one a pixel.
+#[derive(Clone, Debug)]
+struct Layer {
+    axis: [Column; 3],
+    sharpness: Column,
+    /// Amplitude times albedo, by colour; black where a pixel has no such lobe, or is shaded by itself.
+    amplitude: [Column; 3],
+    weight: Column,
+    /// Of the product with every lobe of the sky: sharpness and integral.
+    length: Vec<Column>,
+    value: Vec<Column>,
+}
+
+impl Default for Layer {
+    fn default() -> Self {
+        Self {
+            axis: [[0.0; ITEMS], [1.0; ITEMS], [0.0; ITEMS]],
+            sharpness: [1.0; ITEMS],
+            amplitude: [[0.0; ITEMS]; 3],
+            weight: [0.0; ITEMS],
+            length: Vec::new(),
+            value: Vec::new(),
+        }
+    }
+}
+
+/// A tile's anchors.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Anchors {
+    eyes: [Option<Eye>; ANCHORS],
+    /// Mirrored lines of sight.
+    axis: [Vec3; ANCHORS],
+    /// Points that speak for an anchor.
+    near: [Vec<(u32, f32)>; ANCHORS],
+    /// What of every lobe of the sky is seen, see [`Sky::seen_from`].
+    seen: Vec<[f32; ANCHORS]>,
+    /// Width of a pixel at a distance of 1, and at 0.
+    pixel: [f32; 2],
+}
+
+/// What pixels of a tile ask for.
+#[derive(Clone, Debug)]
+pub(super) struct Batch {
+    len: usize,
+    /// Weights of anchors' columns and rows.
+    across: [Column; SIDE],
+    down: [Column; SIDE],
+    normal: [Column; 3],
+    /// Albedo of the cosine lobe.
+    cosine: [Column; 3],
+    layers: Vec<Layer>,
+    used: usize,
+    slots: Vec<Slot>,
+    /// Distances by slot and anchor.
+    distances: Vec<[f32; ANCHORS]>,
+    plans: Vec<Plan>,
+    radiance: [Column; 3],
+}
+
+/// A direction that fields are asked for: on the arc from the anchor's axis to a lobe of the sky.
+#[derive(Clone, Copy, Debug)]
+struct Slot {
+    lobe: usize,
+    /// 0 at the axis, 1 at the lobe: weights of the two.
+    along: f32,
+}
+
+/// The product of a layer and a lobe of the sky.
+#[derive(Clone, Copy, Debug)]
+struct Plan {
+    layer: usize,
+    lobe: usize,
+    slot: usize,
+    nodes: usize,
+    first: f32,
+    /// Nodes an `along`.
+    per: f32,
+}
+
+impl Default for Batch {
+    fn default() -> Self {
+        Self {
+            len: 0,
+            across: [[0.0; ITEMS]; SIDE],
+            down: [[0.0; ITEMS]; SIDE],
+            normal: [[0.0; ITEMS]; 3],
+            cosine: [[0.0; ITEMS]; 3],
+            layers: Vec::new(),
+            used: 0,
+            slots: Vec::new(),
+            distances: Vec::new(),
+            plans: Vec::new(),
+            radiance: [[0.0; ITEMS]; 3],
+        }
+    }
+}
+
+fn set(columns: &mut [Column; 3], item: usize, value: Vec3) {
+    for (column, value) in columns.iter_mut().zip(value.to_array()) {
+        column[item] = value;
+    }
+}
+
+/// Weights of three anchors along an axis at a pixel of the tile.
+fn hats(x: f32) -> [f32; SIDE] {
+    let [a, b, c] = AT.map(|at| at as f32);
+    if x < b {
+        let t = ((x - a) / (b - a)).max(-0.25);
+        [1.0 - t, t, 0.0]
+    } else {
+        let t = ((x - b) / (c - b)).min(1.25);
+        [0.0, 1.0 - t, t]
+    }
+}
+
+impl Anchors {
+    /// `eyes` and mirrored lines of sight of the nine pixels, row after row; width of a pixel at distances of 1 and 0.
+    pub(super) fn set(
+        &mut self,
+        eyes: [Option<Eye>; ANCHORS],
+        toward_eye: [Vec3; ANCHORS],
+        pixel: [f32; 2],
+    ) {
+        self.eyes = eyes;
+        self.pixel = pixel;
+        for ((axis, eye), o) in self.axis.iter_mut().zip(&self.eyes).zip(toward_eye) {
+            *axis = eye.map_or(Vec3::Y, |eye| 2.0 * eye.normal.dot(o) * eye.normal - o);
+        }
+    }
+
+    /// The points that speak for an anchor.
+    pub(super) fn speak(&mut self, anchor: usize, near: &[(u32, f32)]) {
+        self.near[anchor].clear();
+        self.near[anchor].extend_from_slice(near);
+    }
+
+    /// Interpolates what is seen at the anchors.
+    pub(super) fn look(&mut self, points: &Points, lobes: usize) {
+        self.seen.clear();
+        self.seen.resize(lobes, [0.0; ANCHORS]);
+        for (anchor, near) in self.near.iter().enumerate() {
+            if self.eyes[anchor].is_none() {
+                continue;
+            }
+            for &(id, weight) in near {
+                let seen = &points.list[id as usize].seen;
+                for (sum, value) in self.seen.iter_mut().zip(seen) {
+                    sum[anchor] += value * weight;
+                }
+            }
+        }
+    }
+
+    /// Weights of the anchors at a pixel of the tile (fractional, from 0 to 7), and the mirrored line of sight that they predict; `None` if what is seen there is not
+    /// what they predict.
+    pub(super) fn predict(&self, eye: &Eye, x: f32, y: f32) -> Option<Predicted> {
+        /// Off the surface, in pixels.
+        const OFF: f32 = 0.5;
+        /// Along the surface, as a part of the distance between anchors.
+        const SLIP: f32 = 0.2;
+        const TURN: f32 = 0.1;
+        let (across, down) = (hats(x), hats(y));
+        let (mut position, mut normal, mut axis) = (Vec3::ZERO, Vec3::ZERO, Vec3::ZERO);
+        let (mut low, mut high) = (Vec3::splat(f32::INFINITY), Vec3::splat(f32::NEG_INFINITY));
+        for (row, v) in down.into_iter().enumerate() {
+            for (column, u) in across.into_iter().enumerate() {
+                let weight = u * v;
+                if weight != 0.0 {
+                    let anchor = row * SIDE + column;
+                    let at = self.eyes[anchor].as_ref()?;
+                    position += at.position * weight;
+                    normal += at.normal * weight;
+                    axis += self.axis[anchor] * weight;
+                    low = low.min(at.position);
+                    high = high.max(at.position);
+                }
+            }
+        }
+        let pixel = self.pixel[0] * eye.hit.t + self.pixel[1];
+        let off = eye.position - position;
+        let fits = off.dot(eye.normal).abs() <= OFF * pixel
+            && off.length() <= SLIP * (high - low).length() + OFF * pixel
+            && (eye.normal - normal).length_squared() <= TURN * TURN;
+        fits.then_some(Predicted { across, down, axis })
+    }
+}
+
+/// What anchors say about a pixel.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Predicted {
+    across: [f32; SIDE],
+    down: [f32; SIDE],
+    axis: Vec3,
+}
+
+impl Predicted {
+    /// Whether the axis of a reflection is near enough to the predicted one.
+    pub(super) fn leads_to(&self, axis: Vec3, sharpness: f32) -> bool {
+        (axis - self.axis).length_squared() * sharpness <= AXIS_OFF * AXIS_OFF
+    }
+}
+
+impl Batch {
+    pub(super) fn clear(&mut self) {
+        self.len = 0;
+        self.used = 0;
+        self.across = [[0.0; ITEMS]; SIDE];
+        self.down = [[0.0; ITEMS]; SIDE];
+        self.cosine = [[0.0; ITEMS]; 3];
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// Adds a pixel with its shading normal and the albedo of its cosine lobe. Returns its number; there is room for [`ITEMS`].
+    pub(super) fn push(&mut self, at: &Predicted, normal: Vec3, cosine: Vec3) -> usize {
+        let item = self.len;
+        self.len += 1;
+        for k in 0..SIDE {
+            self.across[k][item] = at.across[k];
+            self.down[k][item] = at.down[k];
+        }
+        set(&mut self.normal, item, normal);
+        set(&mut self.cosine, item, cosine);
+        item
+    }
+
+    /// Adds a glossy lobe of a pixel: its `layer`-th.
+    pub(super) fn gloss(
+        &mut self,
+        item: usize,
+        layer: usize,
+        axis: Vec3,
+        sharpness: f32,
+        amplitude: Vec3,
+    ) {
+        while self.used <= layer {
+            if self.layers.len() == self.used {
+                self.layers.push(Layer::default());
+            } else {
+                self.layers[self.used].amplitude = [[0.0; ITEMS]; 3];
+            }
+            self.used += 1;
+        }
+        let layer = &mut self.layers[layer];
+        set(&mut layer.axis, item, axis);
+        layer.sharpness[item] = sharpness;
+        set(&mut layer.amplitude, item, amplitude);
+    }
+
+    /// Radiance towards the eye of every pixel.
+    pub(super) fn light(&mut self, points: &Points, sky: &Sky, anchors: &Anchors) {
+        matt(self, sky, anchors);
+        let layers = &mut self.layers[..self.used];
+        let mut light: Column = [0.0; ITEMS];
+        for (item, light) in light.iter_mut().enumerate() {
+            *light = self.radiance.iter().map(|column| column[item]).sum();
+        }
+        for layer in &mut *layers {
+            products(layer, sky, self.len, &mut light);
+        }
+        self.plans.clear();
+        self.slots.clear();
+        for (number, layer) in layers.iter_mut().enumerate() {
+            for (item, weight) in layer.weight.iter_mut().enumerate() {
+                *weight = if *weight > 0.0 {
+                    *weight / light[item]
+                } else {
+                    0.0
+                };
+            }
+            plan(
+                number,
+                layer,
+                sky,
+                anchors,
+                self.len,
+                &mut self.plans,
+                &mut self.slots,
+            );
+        }
+        read(self, points, sky, anchors);
+        for index in 0..self.plans.len() {
+            shine(self, sky, index);
+        }
+    }
+
+    pub(super) fn radiance(&self, item: usize) -> Vec3 {
+        Vec3::from_array(self.radiance.each_ref().map(|column| column[item]))
+    }
+}
+
+#[inline(always)]
+fn lanes(column: &Column, start: usize) -> [f32; WIDE] {
+    std::array::from_fn(|k| column[start + k])
+}
+
+/// What the anchors say, interpolated for eight pixels.
+#[inline(always)]
+fn between(
+    across: &[[f32; WIDE]; SIDE],
+    down: &[[f32; WIDE]; SIDE],
+    at: &[f32; ANCHORS],
+) -> [f32; WIDE] {
+    let mut sum = [0.0; WIDE];
+    for row in 0..SIDE {
+        let [a, b, c] = [at[row * SIDE], at[row * SIDE + 1], at[row * SIDE + 2]];
+        for k in 0..WIDE {
+            sum[k] += down[row][k] * (across[0][k] * a + across[1][k] * b + across[2][k] * c);
+        }
+    }
+    sum
+}
+
+wide! {
+/// Light in the cosine lobes; sets the radiance.
+fn matt(batch: &mut Batch, sky: &Sky, anchors: &Anchors) {
+    let share = VisibleShare::new();
+    let chunks = batch.len.div_ceil(WIDE);
+    batch.radiance = [[0.0; ITEMS]; 3];
+    let matt = batch.cosine.iter().any(|column| column.iter().any(|&albedo| albedo > 0.0));
+    if !matt {
+        return;
+    }
+    for chunk in 0..chunks {
+        let start = chunk * WIDE;
+        let across = batch.across.each_ref().map(|column| lanes(column, start));
+        let down = batch.down.each_ref().map(|column| lanes(column, start));
+        let [x, y, z] = batch.normal.each_ref().map(|column| lanes(column, start));
+        let mut sums = [[0.0_f32; WIDE]; 3];
+        for lobe in 0..sky.len() {
+            let colour = sky.amplitude.each_ref().map(|column| column[lobe]);
+            if colour == [0.0; 3] {
+                continue;
+            }
+            let [a, b, c] = sky.axis.each_ref().map(|column| column[lobe]);
+            let (slope, bias, width) = (sky.slope[lobe], sky.bias[lobe], sky.width[lobe]);
+            let mut seen = between(&across, &down, &anchors.seen[lobe]);
+            let mut cos = [0.0; WIDE];
+            for k in 0..WIDE {
+                cos[k] = x[k] * a + y[k] * b + z[k] * c;
+            }
+            if lobe >= sky.broad {
+                let sharpness = sky.sharpness[lobe];
+                let (mut horizon, mut nearest) = ([0.0; WIDE], [0.0; WIDE]);
+                for k in 0..WIDE {
+                    horizon[k] = asin(cos[k]);
+                    nearest[k] = if seen[k] < horizon[k] { seen[k] } else { horizon[k] };
+                }
+                let free = share.at_eight(&horizon, &[sharpness; WIDE]);
+                let left = share.at_eight(&nearest, &[sharpness; WIDE]);
+                for k in 0..WIDE {
+                    let part = left[k] / (free[k] + 1e-9);
+                    seen[k] = if free[k] > 1e-3 { part } else { 0.0 };
+                }
+            }
+            for k in 0..WIDE {
+                let whole = slope * bend(cos[k], width) + bias;
+                let whole = (if whole > 0.0 { whole } else { 0.0 }) * seen[k];
+                sums[0][k] += whole * colour[0];
+                sums[1][k] += whole * colour[1];
+                sums[2][k] += whole * colour[2];
+            }
+        }
+        for colour in 0..3 {
+            for k in 0..WIDE {
+                let albedo = batch.cosine[colour][start + k] * std::f32::consts::FRAC_1_PI;
+                batch.radiance[colour][start + k] = sums[colour][k] * albedo;
+            }
+        }
+    }
+}
+}
+
+wide! {
+/// The products of a layer with the lobes of the sky; adds what they bring, were nothing in the way, to `light`.
+fn products(layer: &mut Layer, sky: &Sky, len: usize, light: &mut Column) {
+    let chunks = len.div_ceil(WIDE);
+    layer.length.resize(sky.len(), [1.0; ITEMS]);
+    layer.value.resize(sky.len(), [0.0; ITEMS]);
+    for chunk in 0..CHUNKS {
+        let start = chunk * WIDE;
+        let colours = layer.amplitude.each_ref().map(|column| lanes(column, start));
+        let mut weight = [0.0; WIDE];
+        for k in 0..WIDE {
+            weight[k] = colours[0][k] + colours[1][k] + colours[2][k];
+        }
+        if chunk >= chunks {
+            weight = [0.0; WIDE];
+        }
+        layer.weight[start..start + WIDE].copy_from_slice(&weight);
+        if weight.iter().all(|&w| w == 0.0) {
+            continue;
+        }
+        let [x, y, z] = layer.axis.each_ref().map(|column| lanes(column, start));
+        let own = lanes(&layer.sharpness, start);
+        let mut total = [0.0; WIDE];
+        for lobe in 0..sky.len() {
+            let [a, b, c] = sky.axis.each_ref().map(|column| column[lobe]);
+            let other = sky.sharpness[lobe];
+            let bright: f32 = sky.amplitude.iter().map(|column| column[lobe]).sum();
+            let length = &mut layer.length[lobe][start..start + WIDE];
+            let value = &mut layer.value[lobe][start..start + WIDE];
+            for k in 0..WIDE {
+                // SphericalGaussian::product; the exponent without the difference of large numbers.
+                let cos = x[k] * a + y[k] * b + z[k] * c;
+                let sum = own[k] + other;
+                let twice = 2.0 * own[k] * other * (1.0 - cos);
+                let square = sum * sum - twice;
+                let root = (if square > 1e-12 { square } else { 1e-12 }).sqrt();
+                let whole = std::f32::consts::TAU * (1.0 - exp(-2.0 * root)) / root;
+                let product = exp(-twice / (root + sum)) * whole;
+                length[k] = root;
+                value[k] = product;
+                total[k] += product * bright;
+            }
+        }
+        for k in 0..WIDE {
+            light[start + k] += total[k] * weight[k];
+        }
+    }
+}
+}
+
+/// Decides which products of a layer matter, and where on their arcs distances are read.
+fn plan(
+    number: usize,
+    layer: &Layer,
+    sky: &Sky,
+    anchors: &Anchors,
+    len: usize,
+    plans: &mut Vec<Plan>,
+    slots: &mut Vec<Slot>,
+) {
+    let Some(middle) = (0..ANCHORS).find(|&anchor| anchors.eyes[anchor].is_some()) else {
+        return;
+    };
+    for lobe in 0..sky.len() {
+        let bright: f32 = sky.amplitude.iter().map(|column| column[lobe]).sum();
+        if bright == 0.0 {
+            continue;
+        }
+        let other = sky.sharpness[lobe];
+        let (mut least, mut most) = (f32::INFINITY, 0.0_f32);
+        let value = &layer.value[lobe];
+        for item in 0..len {
+            if value[item] * bright * layer.weight[item] > NEGLIGIBLE {
+                least = least.min(layer.sharpness[item]);
+                most = most.max(layer.sharpness[item]);
+            }
+        }
+        if least > most {
+            continue;
+        }
+        let (first, last) = (other / (most + other), other / (least + other));
+        let towards = sky.lobe(lobe).axis;
+        let turn = anchors.axis[middle].dot(towards).clamp(-1.0, 1.0).acos();
+        let widths = turn * (last - first) * (0.5 * (least + most) + other).sqrt();
+        let nodes = if widths < 0.25 * NODE_STEP {
+            1
+        } else {
+            (2 + (widths / NODE_STEP) as usize).min(MOST_NODES)
+        };
+        plans.push(Plan {
+            layer: number,
+            lobe,
+            slot: slots.len(),
+            nodes,
+            first,
+            per: (nodes - 1) as f32 / (last - first).max(1e-6),
+        });
+        for node in 0..nodes {
+            let along = match nodes {
+                1 => 0.5 * (first + last),
+                _ => first + (last - first) * node as f32 / (nodes - 1) as f32,
+            };
+            slots.push(Slot { lobe, along });
+        }
+    }
+}
+
+wide! {
+/// Reads the fields: the distances of all slots at all anchors.
+fn read(batch: &mut Batch, points: &Points, sky: &Sky, anchors: &Anchors) {
+    let Batch { slots, distances, .. } = batch;
+    distances.clear();
+    distances.resize(slots.len(), [0.0; ANCHORS]);
+    for (slots, out) in slots.chunks(WIDE).zip(distances.chunks_mut(WIDE)) {
+        let (mut x, mut y, mut z) = ([0.0; WIDE], [1.0; WIDE], [0.0; WIDE]);
+        let mut along = [0.0; WIDE];
+        for (lane, slot) in slots.iter().enumerate() {
+            x[lane] = sky.axis[0][slot.lobe];
+            y[lane] = sky.axis[1][slot.lobe];
+            z[lane] = sky.axis[2][slot.lobe];
+            along[lane] = slot.along;
+        }
+        for anchor in 0..ANCHORS {
+            if anchors.eyes[anchor].is_none() {
+                continue;
+            }
+            let axis = anchors.axis[anchor];
+            let mut w = [[0.0; WIDE]; 3];
+            for k in 0..WIDE {
+                let (t, rest) = (along[k], 1.0 - along[k]);
+                let (a, b, c) = (
+                    axis.x * rest + x[k] * t,
+                    axis.y * rest + y[k] * t,
+                    axis.z * rest + z[k] * t,
+                );
+                let scale = 1.0 / (a * a + b * b + c * c + 1e-20).sqrt();
+                (w[0][k], w[1][k], w[2][k]) = (a * scale, b * scale, c * scale);
+            }
+            let mut sum = [0.0; WIDE];
+            for &(id, weight) in &anchors.near[anchor] {
+                let point = &points.list[id as usize];
+                let found = point.field.at_eight(&point.hemisphere, &w);
+                for k in 0..WIDE {
+                    sum[k] += found[k] * weight;
+                }
+            }
+            for (lane, out) in out.iter_mut().enumerate() {
+                out[anchor] = sum[lane];
+            }
+        }
+    }
+}
+}
+
+wide! {
+/// Adds what a product brings.
+fn shine(batch: &mut Batch, sky: &Sky, index: usize) {
+    let share = VisibleShare::new();
+    let plan = batch.plans[index];
+    let layer = &batch.layers[plan.layer];
+    let colour = sky.amplitude.each_ref().map(|column| column[plan.lobe]);
+    let other = sky.sharpness[plan.lobe];
+    for chunk in 0..batch.len.div_ceil(WIDE) {
+        let start = chunk * WIDE;
+        let value = lanes(&layer.value[plan.lobe], start);
+        let weight = lanes(&layer.weight, start);
+        if weight.iter().all(|&w| w == 0.0) {
+            continue;
+        }
+        let across = batch.across.each_ref().map(|column| lanes(column, start));
+        let down = batch.down.each_ref().map(|column| lanes(column, start));
+        let own = lanes(&layer.sharpness, start);
+        let mut distance = [0.0; WIDE];
+        let at = &batch.distances[plan.slot..plan.slot + plan.nodes];
+        if let [at] = at {
+            distance = between(&across, &down, at);
+        } else {
+            let mut place = [0.0; WIDE];
+            for k in 0..WIDE {
+                let x = (other / (own[k] + other) - plan.first) * plan.per;
+                place[k] = x.clamp(0.0, (plan.nodes - 1) as f32);
+            }
+            for (node, at) in at.iter().enumerate() {
+                let found = between(&across, &down, at);
+                for k in 0..WIDE {
+                    let off = (place[k] - node as f32).abs();
+                    let part = if off < 1.0 { 1.0 - off } else { 0.0 };
+                    distance[k] += found[k] * part;
+                }
+            }
+        }
+        let length = lanes(&layer.length[plan.lobe], start);
+        let visible = share.at_eight(&distance, &length);
+        for (colour, (albedo, radiance)) in
+            colour.iter().zip(layer.amplitude.iter().zip(&mut batch.radiance))
+        {
+            for k in 0..WIDE {
+                radiance[start + k] += value[k] * visible[k] * colour * albedo[start + k];
+            }
+        }
+    }
+}
+}
