@@ -1,10 +1,10 @@
 //! Frames of animated scenes: what they take, and how they stand against path tracing.
 
-use super::stage::{Shot, Stage, as_environment};
+use super::stage::{Reel, Shot, Stage, as_environment};
 use crate::common::{Report, Row, Setting, median};
 use occlude_image::metrics::compare;
 use occlude_image::{Encoding, Look, Picture, ToneMap};
-use occlude_render::integrator::{Field, Integrator, PathLimits, Sequence};
+use occlude_render::integrator::{Field, Integrator, PathLimits};
 use occlude_render::light::SkyFit;
 use occlude_scene::procedural::Name;
 
@@ -53,13 +53,12 @@ pub fn table(setting: &Setting, report: &mut Report) {
     });
     for (stage, size, rate) in of_paper.chain(others) {
         let size = setting.size.unwrap_or(size);
-        let mut sequence = Sequence::default();
-        sequence.set_sky(stage.sky.lobes(&SkyFit::default()));
+        let mut reel = Reel::under(&stage.sky.lobes(&SkyFit::default()));
         let frames = if setting.quick { 6 } else { 24 };
         let shots: Vec<Shot> = (0..frames)
             .map(|frame| {
                 let work = (Integrator::Field(Field::default()), 1, 0);
-                stage.shoot(frame, size, &stage.sky, &mut sequence, work)
+                stage.shoot(frame, size, &stage.sky, &mut reel, work)
             })
             .collect();
         let after = &shots[1..];
@@ -147,16 +146,15 @@ pub fn monte_carlo(setting: &Setting, report: &mut Report) {
             let shown = as_environment(&lobes);
             let frame = 24;
             let field = |lobes: &occlude_render::light::SkyLobes, sky| {
-                let mut sequence = Sequence::default();
-                sequence.set_sky(lobes.clone());
+                let mut reel = Reel::under(lobes);
                 let work = (Integrator::Field(Field::default()), 1, 0);
-                stage.shoot(frame, size, sky, &mut sequence, work);
+                stage.shoot(frame, size, sky, &mut reel, work);
                 // The second of two frames: points are where they should be, maps are traced anew.
-                stage.shoot(frame + 1, size, sky, &mut sequence, work)
+                stage.shoot(frame + 1, size, sky, &mut reel, work)
             };
             let path = |samples, seed, sky| {
                 let work = (depth, samples, seed);
-                stage.shoot(frame + 1, size, sky, &mut Sequence::default(), work)
+                stage.shoot(frame + 1, size, sky, &mut Reel::default(), work)
             };
             let many = if setting.quick { 256 } else { 1024 };
             let reference = path(many, 99, &shown).picture;

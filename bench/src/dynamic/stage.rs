@@ -6,7 +6,7 @@ use occlude_bvh::BuildOptions;
 use occlude_image::{Limits, Picture};
 use occlude_render::camera::{PixelFilter, View};
 use occlude_render::film::Film;
-use occlude_render::geometry::{Geometry, WorldTriangle};
+use occlude_render::geometry::{Geometry, Hierarchies, WorldTriangle};
 use occlude_render::integrator::{Integrator, RenderReport, RenderSettings, Sequence, World};
 use occlude_render::job::Job;
 use occlude_render::light::{Environment, LightSelection, Lights, SkyLobes};
@@ -24,6 +24,21 @@ pub struct Stage {
     pub name: &'static str,
     pub scene: Scene,
     pub sky: Environment,
+}
+
+/// What lives from frame to frame.
+#[derive(Default)]
+pub struct Reel {
+    pub sequence: Sequence,
+    before: Option<Hierarchies>,
+}
+
+impl Reel {
+    pub fn under(sky: &SkyLobes) -> Self {
+        let mut reel = Self::default();
+        reel.sequence.set_sky(sky.clone());
+        reel
+    }
 }
 
 /// A picture and what it took.
@@ -124,13 +139,13 @@ impl Stage {
         frame: u32,
         size: [u32; 2],
         sky: &Environment,
-        sequence: &mut Sequence,
+        reel: &mut Reel,
         (integrator, samples, seed): (Integrator, u32, u64),
     ) -> Shot {
         let start = Instant::now();
         let pose = self.pose(frame);
-        let options = BuildOptions::default();
-        let geometry = Geometry::new(&self.scene, &pose, &options).expect("a scene with triangles");
+        let geometry = Geometry::after(reel.before.take(), &self.scene, &pose)
+            .expect("a scene with triangles");
         let lights = Lights::new(&self.scene, &pose, Some(sky.clone()), LightSelection::Tree);
         let prepared = start.elapsed().as_secs_f64();
         let world = World {
@@ -149,7 +164,7 @@ impl Stage {
         };
         let mut film = Film::new(size[0], size[1], false);
         let job = Job::new();
-        let report = sequence.render(
+        let report = reel.sequence.render(
             &world,
             &view,
             &Exact,
@@ -158,8 +173,10 @@ impl Stage {
             &job,
             &mut |_| (),
         );
+        let seconds = start.elapsed().as_secs_f64();
+        reel.before = Some(geometry.into_hierarchies());
         Shot {
-            seconds: start.elapsed().as_secs_f64(),
+            seconds,
             prepared,
             report,
             picture: Picture {

@@ -56,6 +56,27 @@ pub struct Thresholds {
     pub erase_below: f32,
 }
 
+/// A pixel, from the top left.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Pixel {
+    pub x: u32,
+    pub y: u32,
+}
+
+impl FromStr for Pixel {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong = || format!("{text} is no pixel: give X,Y such as 320,240");
+        let (x, y) = text.split_once(',').ok_or_else(wrong)?;
+        let number = |part: &str| part.trim().parse().map_err(|_| wrong());
+        Ok(Self {
+            x: number(x)?,
+            y: number(y)?,
+        })
+    }
+}
+
 impl FromStr for Thresholds {
     type Err = String;
 

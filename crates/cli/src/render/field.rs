@@ -5,12 +5,15 @@ use crate::context::Context;
 use crate::error::CliError;
 use crate::sky::SkyArgs;
 use crate::stats;
-use crate::values::Thresholds;
+use crate::values::{Pixel, Thresholds};
 use clap::Args;
-use occlude_image::Picture;
-use occlude_render::integrator::Field;
+use occlude_image::{Look, Picture, ToneMap};
+use occlude_render::camera::View;
+use occlude_render::geometry::Geometry;
+use occlude_render::integrator::{Field, Sequence};
 use occlude_render::light::{Environment, SkyFit, SkyLobes};
 use occlude_scene::Scene;
+use std::path::{Path, PathBuf};
 
 /// What fields of visibility know their points by.
 #[derive(Debug, Clone, Args)]
@@ -32,6 +35,35 @@ pub struct FieldArgs {
     #[arg(long, value_name = "DIR|off", value_parser = cache::parse, help_heading = "Work")]
     pub cache: Option<Cache>,
 
+    /// Fields: an eighth of their bytes, for slightly blunter shadows
+    #[arg(long, help_heading = "Work")]
+    pub packed: bool,
+
+    /// Fields: integrate lobes over cells of the fields (Eq. 5) instead of taking the distance at their centres: a slow check
+    #[arg(long, help_heading = "Work")]
+    pub cells: bool,
+
+    /// Fields: one bounce of diffuse light by N virtual lights, gathered at the sample points
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(..=65_536), help_heading = "Work")]
+    pub bounce: u32,
+
+    /// Fields: N short rays a pixel for what is too close and small for the points around it
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(..=1024), help_heading = "Work")]
+    pub contact: u32,
+
+    /// Fields: write PREFIX-points.png (sample points by error) and PREFIX-lobes.png (the sky), and of the point next to --pick PREFIX-map.png and PREFIX-field.png
+    #[arg(long, value_name = "PREFIX", help_heading = "Output")]
+    pub field_views: Option<PathBuf>,
+
+    /// Fields: the pixel whose point --field-views shows
+    #[arg(
+        long,
+        value_name = "X,Y",
+        requires = "field_views",
+        help_heading = "Output"
+    )]
+    pub pick: Option<Pixel>,
+
     /// Points that fit into --memory.
     #[arg(skip)]
     pub most_points: Option<u32>,
@@ -51,9 +83,9 @@ impl FieldArgs {
             ));
         }
         if let Some(limit) = memory {
-            // A bit and a half-float a texel.
+            // A bit and a 16-bit distance a texel, or a packed one for four.
             let texels = u64::from(self.resolution).pow(2);
-            let bytes = texels / 8 + texels * 2;
+            let bytes = texels / 8 + if self.packed { texels / 4 } else { texels * 2 };
             let fit = limit / bytes;
             if fit < FEWEST_POINTS {
                 return Err(CliError::input(
@@ -64,7 +96,7 @@ impl FieldArgs {
                     ),
                     "--resolution",
                     format_args!(
-                        "raise --memory, or use --resolution {}",
+                        "raise --memory, add --packed, or use --resolution {}",
                         (self.resolution / 2).max(16)
                     ),
                 ));
@@ -83,8 +115,37 @@ impl FieldArgs {
             erase_below: self.threshold.erase_below,
             resolution: self.resolution,
             most_points: usual.most_points.min(fit),
+            packed: self.packed,
+            cells: self.cells,
+            bounce: self.bounce,
+            contact: self.contact,
             ..usual
         }
+    }
+
+    /// Writes the pictures of `--field-views`; `rename` puts a frame's number into names.
+    pub fn write_views(
+        &self,
+        rename: impl Fn(&Path) -> PathBuf,
+        sequence: &Sequence,
+        geometry: &Geometry,
+        view: &View,
+    ) -> Result<(), CliError> {
+        let Some(prefix) = &self.field_views else {
+            return Ok(());
+        };
+        let look = Look {
+            tone_map: ToneMap::None,
+            exposure_ev: 0.0,
+        };
+        let pick = self.pick.map(|Pixel { x, y }| [x, y]);
+        let prefix = rename(prefix);
+        for (what, picture) in sequence.field_views(geometry, view, &self.settings(), pick) {
+            let mut name = prefix.as_os_str().to_owned();
+            name.push(format!("-{what}.png"));
+            occlude_image::write(Path::new(&name), &picture, look)?;
+        }
+        Ok(())
     }
 
     /// The sky's lobes, from the cache if they are known; tells what they lose.

@@ -264,6 +264,10 @@ fn work<'a, V: Visibility<Geometry<'a>>>(
             view,
         )?;
     }
+    if args.integrator == Integrator::Field {
+        let same = |prefix: &Path| prefix.to_owned();
+        (args.field).write_views(same, &sequence, world.geometry, view)?;
+    }
     if film.dropped() > 0 {
         context.warn(format_args!(
             "{} samples were not finite and count as black: please report the scene",

@@ -272,6 +272,7 @@ impl Plan<'_> {
                     .iter()
                     .any(|other| other > frame && !done_at_start.contains(other))
         };
+        let mut hierarchies = None;
         let mut lights: Option<Lights> = None;
         let mut total: Option<Total> = None;
         let finish = finish(args, self.scene, context.common.seed);
@@ -306,7 +307,9 @@ impl Plan<'_> {
                 if lights.is_none() {
                     lights = Some(setup::lights(args, self.scene, &pose, self.sky.as_ref()));
                 }
-                if self.apart || !self.moving.contains(&true) {
+                if field {
+                    Geometry::after(hierarchies.take(), self.scene, &pose)
+                } else if self.apart || !self.moving.contains(&true) {
                     Geometry::in_sequence(self.scene, &pose, &still, &self.moving, &options)
                 } else {
                     Geometry::new(self.scene, &pose, &options)
@@ -357,6 +360,7 @@ impl Plan<'_> {
             }
             visibility.next_picture();
             if replay {
+                hierarchies = Some(geometry.into_hierarchies());
                 continue;
             }
             context.phase("write", |_| finish.write(&film, &names))?;

@@ -33,7 +33,7 @@ use boundary::Bounced;
 use glam::{Vec2, Vec3};
 use layers::Layers;
 use microfacet::GRAZING;
-pub(crate) use reflection::{Gloss, Reflection};
+pub(crate) use reflection::Gloss;
 pub use split::BROAD_ROUGHNESS;
 pub(crate) use split::Broad;
 use std::f32::consts::FRAC_1_PI;

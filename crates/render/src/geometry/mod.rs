@@ -15,5 +15,5 @@ pub(crate) use records::site_of;
 pub(crate) use shaft::{Span, Towards};
 pub use surface::Surface;
 pub(crate) use tracer::is_pane;
-pub use tracer::{Geometry, GeometryError, Still};
+pub use tracer::{Geometry, GeometryError, Hierarchies, Still};
 pub use triangle::WorldTriangle;

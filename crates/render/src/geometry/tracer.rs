@@ -5,7 +5,7 @@ use super::shaft::Boxes;
 use crate::bsdf::{self, Bsdf};
 use glam::{Mat3, Vec3};
 use occlude_bvh::{Accel, Blocker, BuildOptions, HitFilter, InstanceInput, MeshInput};
-use occlude_scene::{AlphaMode, Material, Pose, Scene};
+use occlude_scene::{AlphaMode, Material, Mesh, Pose, Scene};
 use occlude_visibility::two_part::{Ball, TwoPartTracer};
 use occlude_visibility::{Hit, Ray, Tracer};
 use std::sync::Arc;
@@ -96,19 +96,22 @@ impl HitFilter for AlphaFilter<'_> {
     }
 }
 
-impl Part {
-    /// Builds the hierarchies over the instances that `takes_part` names.
-    fn build(
-        scene: &Scene,
-        pose: &Pose,
-        takes_part: impl Fn(usize) -> bool,
-        options: &BuildOptions,
-    ) -> Result<Self, GeometryError> {
+/// What hierarchies are built from.
+struct Inputs<'a> {
+    scene: &'a Scene,
+    meshes: Vec<(&'a Mesh, &'a [Vec3])>,
+    instances: Vec<InstanceInput>,
+    /// The mesh without triangles.
+    nothing: Option<usize>,
+}
+
+impl<'a> Inputs<'a> {
+    fn new(scene: &'a Scene, pose: &'a Pose, takes_part: impl Fn(usize) -> bool) -> Self {
         let plain = scene
             .meshes
             .iter()
             .map(|mesh| (mesh, mesh.positions.as_slice()));
-        let mut meshes: Vec<_> = plain.collect();
+        let mut meshes: Vec<(&Mesh, &[Vec3])> = plain.collect();
         let mut instances = Vec::with_capacity(pose.instances.len());
         // Who takes no part is there without triangles, so that indices agree.
         let mut nothing = None;
@@ -130,22 +133,42 @@ impl Part {
                 world_from_object: posed.world_from_object,
             });
         }
+        Self {
+            scene,
+            meshes,
+            instances,
+            nothing,
+        }
+    }
+
+    /// The meshes of the blockers, or of the panes. A mesh that belongs to the other hierarchy takes part without triangles, too.
+    fn meshes(&self, pane: bool) -> Vec<MeshInput<'a>> {
+        let meshes = self.meshes.iter().enumerate();
+        meshes
+            .map(|(index, &(mesh, positions))| {
+                let here = Some(index) != self.nothing
+                    && is_pane(&self.scene.materials[mesh.material as usize]) == pane;
+                MeshInput {
+                    positions,
+                    triangles: if here { &mesh.triangles } else { &[] },
+                    filtered: alpha::is_filtered(self.scene, mesh),
+                }
+            })
+            .collect()
+    }
+}
+
+impl Part {
+    /// Builds the hierarchies over the instances that `takes_part` names.
+    fn build(
+        scene: &Scene,
+        pose: &Pose,
+        takes_part: impl Fn(usize) -> bool,
+        options: &BuildOptions,
+    ) -> Result<Self, GeometryError> {
+        let inputs = Inputs::new(scene, pose, &takes_part);
         let accel = |pane: bool| {
-            // A mesh that belongs to the other hierarchy takes part without triangles, too.
-            let inputs: Vec<_> = meshes
-                .iter()
-                .enumerate()
-                .map(|(index, (mesh, positions))| {
-                    let here = Some(index) != nothing
-                        && is_pane(&scene.materials[mesh.material as usize]) == pane;
-                    MeshInput {
-                        positions,
-                        triangles: if here { &mesh.triangles } else { &[] },
-                        filtered: alpha::is_filtered(scene, mesh),
-                    }
-                })
-                .collect();
-            Accel::build(&inputs, &instances, options).map(Arc::new)
+            Accel::build(&inputs.meshes(pane), &inputs.instances, options).map(Arc::new)
         };
         let has_panes = pose.instances.iter().enumerate().any(|(number, posed)| {
             let mesh = &scene.meshes[posed.mesh as usize];
@@ -157,10 +180,32 @@ impl Part {
         })
     }
 
+    /// Takes over another pose of all instances; false if that was not possible, or has made the hierarchies so much worse that building anew pays.
+    fn refit(&mut self, scene: &Scene, pose: &Pose) -> bool {
+        let inputs = Inputs::new(scene, pose, |_| true);
+        let again = |accel: &mut Arc<Accel>, pane: bool| {
+            Arc::get_mut(accel).is_some_and(|accel| {
+                let done = accel.refit(&inputs.meshes(pane), &inputs.instances);
+                let stats = accel.stats();
+                done.is_ok() && stats.cost <= WORN * stats.built_cost
+            })
+        };
+        again(&mut self.blockers, false)
+            && self.panes.as_mut().is_none_or(|panes| again(panes, true))
+    }
+
     fn bytes(&self) -> u64 {
         self.blockers.stats().bytes + self.panes.as_ref().map_or(0, |panes| panes.stats().bytes)
     }
 }
+
+/// The hierarchies of a picture, to be refitted for the next one of a sequence.
+#[derive(Clone, Debug)]
+pub struct Hierarchies(Part);
+
+/// Hierarchies are built anew once refits have raised their expected cost a ray to this, relative: with a few hundred thousand rays a frame, a fifth more
+/// time for rays is what a build takes.
+const WORN: f32 = 1.2;
 
 impl Still {
     /// Builds the hierarchies over the instances that are not `moving` (by number, as
@@ -185,6 +230,31 @@ impl<'a> Geometry<'a> {
     ) -> Result<Self, GeometryError> {
         let still = Part::build(scene, pose, |_| true, options)?;
         Self::of_parts(scene, pose, still, None)
+    }
+
+    /// The next picture of a sequence: refits the hierarchies of the one before, which is much faster than building, and builds anew if there are none, if other
+    /// instances or triangles are there, or if too much has moved since the last build.
+    pub fn after(
+        before: Option<Hierarchies>,
+        scene: &'a Scene,
+        pose: &'a Pose,
+    ) -> Result<Self, GeometryError> {
+        if let Some(Hierarchies(mut part)) = before
+            && part.refit(scene, pose)
+        {
+            return Self::of_parts(scene, pose, part, None);
+        }
+        let options = BuildOptions {
+            whole_triangles: true,
+            keep_degenerate: true,
+            ..BuildOptions::default()
+        };
+        Self::new(scene, pose, &options)
+    }
+
+    /// Ends a picture: what [`after`](Self::after) starts the next one with.
+    pub fn into_hierarchies(self) -> Hierarchies {
+        Hierarchies(self.still)
     }
 
     /// One picture of a sequence: builds hierarchies over what is `moving` alone, and takes the others from `still`, which
@@ -300,17 +370,33 @@ impl<'a> Geometry<'a> {
 
     /// What panes and moving parts have before the hits that are known.
     fn nearer(&self, rays: &[Ray], hits: &mut [Option<Hit>]) {
-        let moving = self.moving.as_ref().map(|moving| &*moving.part.blockers);
-        for nearer in self.panes().chain(moving) {
+        for panes in self.panes() {
             for (ray, hit) in rays.iter().zip(&mut *hits) {
                 let before = Ray {
                     t_max: hit.map_or(ray.t_max, |hit| hit.t),
                     ..*ray
                 };
-                if let Some(near) = nearer.closest(&before, &self.filter()) {
+                if let Some(near) = panes.closest(&before, &self.filter()) {
                     *hit = Some(near);
                 }
             }
+        }
+        self.nearer_moving(rays, hits);
+    }
+
+    /// What moving parts have before the hits that are known.
+    fn nearer_moving(&self, rays: &[Ray], hits: &mut [Option<Hit>]) {
+        let Some(moving) = &self.moving else { return };
+        let before = rays.iter().zip(&*hits).map(|(ray, hit)| Ray {
+            t_max: hit.map_or(ray.t_max, |hit| hit.t),
+            ..*ray
+        });
+        let before: Vec<Ray> = before.collect();
+        let mut near = vec![None; rays.len()];
+        let blockers = &moving.part.blockers;
+        blockers.closest_coherent(&before, &mut near, &self.filter());
+        for (hit, near) in hits.iter_mut().zip(near) {
+            *hit = near.or(*hit);
         }
     }
 
@@ -318,17 +404,7 @@ impl<'a> Geometry<'a> {
     pub(super) fn closest_blockers(&self, rays: &[Ray], hits: &mut [Option<Hit>]) {
         let filter = self.filter();
         self.still.blockers.closest_coherent(rays, hits, &filter);
-        if let Some(moving) = &self.moving {
-            for (ray, hit) in rays.iter().zip(hits) {
-                let before = Ray {
-                    t_max: hit.map_or(ray.t_max, |hit| hit.t),
-                    ..*ray
-                };
-                if let Some(near) = moving.part.blockers.closest(&before, &filter) {
-                    *hit = Some(near);
-                }
-            }
-        }
+        self.nearer_moving(rays, hits);
     }
 
     /// Whether some panes tint shadow rays.

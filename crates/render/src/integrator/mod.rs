@@ -27,6 +27,7 @@ use crate::job::Job;
 use crate::light::{Emission, Lights, SkyLobes};
 use crate::sampling::{Sampler, SamplerKind};
 use glam::Vec2;
+use occlude_image::Picture;
 use occlude_visibility::{Epoch, Visibility, VisibilityStats};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -250,6 +251,18 @@ impl Sequence {
         self.fields.set_sky(lobes);
     }
 
+    /// Pictures of how the last frame of [`Integrator::Field`] came about, by name: its sample points coloured by their errors, the sky's lobes, and, of the sample point
+    /// next to a picked pixel, what it sees and its field of distances.
+    pub fn field_views(
+        &self,
+        geometry: &Geometry,
+        view: &View,
+        field: &Field,
+        pick: Option<[u32; 2]>,
+    ) -> Vec<(&'static str, Picture)> {
+        self.fields.views(geometry, view, field, pick)
+    }
+
     /// A sequence whose virtual lights stay, but for `blocks` blocks of 16 that are drawn anew for every picture: less flicker,
     /// and questions that a strategy has heard before. A picture then depends on those before it.
     pub fn renewing(blocks: u32) -> Self {
@@ -292,7 +305,19 @@ impl Sequence {
         assert_eq!((view.width(), view.height()), (film.width(), film.height()));
         let Geometry { scene, pose, .. } = *world.geometry;
         if let Integrator::Field(field) = &settings.integrator {
-            return self.fields.render(world, view, field, settings, film, job);
+            let bounce = (field.bounce > 0).then(|| {
+                let wanted = InstantRadiosity {
+                    max_depth: 2,
+                    vpls: field.bounce,
+                    clamp: None,
+                    compensate: false,
+                };
+                instant_radiosity::Prepared::new(world, view, settings, wanted, self)
+            });
+            let bounce = bounce.as_ref();
+            return self
+                .fields
+                .render(world, view, field, settings, bounce, film, job);
         }
         let emission = match settings.integrator {
             Integrator::Bidirectional(_) => {

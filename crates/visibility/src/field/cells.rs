@@ -23,27 +23,57 @@ const GAUSS: [(f32, f32); 3] = [
 /// What of a lobe is negligible, relative to its amplitude.
 const NEGLIGIBLE: f32 = 1e-6;
 
-/// `integral of lobe(w) * max(0, n.w)` over the free directions, `n` being the hemisphere's normal, for a lobe of amplitude 1 in world space.
+/// Distances at the texels of a hemisphere: a [`DistanceField`], or one that is interpolated from several.
+pub trait Distances {
+    /// Texels along a side, a power of two.
+    fn side(&self) -> u32;
+    /// The distance at a texel's centre, radians.
+    fn get(&self, row: usize, column: usize) -> f32;
+}
+
+impl Distances for DistanceField {
+    fn side(&self) -> u32 {
+        Self::side(self)
+    }
+
+    fn get(&self, row: usize, column: usize) -> f32 {
+        Self::get(self, row, column)
+    }
+}
+
+/// What a lobe is multiplied with before it is integrated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Weight {
+    /// Nothing.
+    One,
+    /// The cosine to the hemisphere's normal.
+    Cosine,
+}
+
+/// The integral over the free directions of a lobe of amplitude 1 in world space, times the weight.
 pub fn visible_integral(
-    field: &DistanceField,
+    field: &impl Distances,
     hemisphere: &Hemisphere,
     axis: Vec3,
     sharpness: f32,
+    weight: Weight,
 ) -> f32 {
     let cells = Cells {
         field,
         axis: hemisphere.to_local(axis),
         sharpness,
         finest: field.side(),
+        cosine: weight == Weight::Cosine,
     };
     cells.integrate(0, 0, field.side())
 }
 
-struct Cells<'a> {
-    field: &'a DistanceField,
+struct Cells<'a, D> {
+    field: &'a D,
     axis: Vec3,
     sharpness: f32,
     finest: u32,
+    cosine: bool,
 }
 
 fn direction(theta: f32, phi: f32) -> Vec3 {
@@ -51,7 +81,7 @@ fn direction(theta: f32, phi: f32) -> Vec3 {
     Vec3::new(st * cp, st * sp, ct)
 }
 
-impl Cells<'_> {
+impl<D: Distances> Cells<'_, D> {
     /// Of a cell with its first texel and its side in texels.
     fn integrate(&self, row: u32, column: u32, size: u32) -> f32 {
         let texel = PI / self.finest as f32;
@@ -90,10 +120,11 @@ impl Cells<'_> {
             .sum()
     }
 
-    /// The lobe times cosine times `sin theta`.
+    /// The lobe times its weight times `sin theta`.
     fn value(&self, theta: f32, phi: f32) -> f32 {
         let w = direction(theta, phi);
-        (self.sharpness * (self.axis.dot(w) - 1.0)).exp() * w.y.max(0.0) * theta.sin()
+        let weight = if self.cosine { w.y.max(0.0) } else { 1.0 };
+        (self.sharpness * (self.axis.dot(w) - 1.0)).exp() * weight * theta.sin()
     }
 
     fn whole(&self, theta: f32, phi: f32, width: f32) -> f32 {
@@ -159,6 +190,7 @@ mod tests {
         free: impl Fn(Vec3) -> bool,
         axis: Vec3,
         sharpness: f32,
+        weight: Weight,
     ) -> f64 {
         let n = 600_000_u32;
         let mut sum = 0.0;
@@ -169,7 +201,8 @@ mod tests {
             let local = Vec3::new((r * a.cos()) as f32, y as f32, (r * a.sin()) as f32);
             if free(local) {
                 let w = hemisphere.to_world(local);
-                sum += f64::from((sharpness * (axis.dot(w) - 1.0)).exp()) * y;
+                let weight = if weight == Weight::Cosine { y } else { 1.0 };
+                sum += f64::from((sharpness * (axis.dot(w) - 1.0)).exp()) * weight;
             }
         }
         sum * 2.0 * std::f64::consts::PI / f64::from(n)
@@ -186,14 +219,16 @@ mod tests {
         ] {
             let axis = axis.normalize();
             for sharpness in [2.0, 25.0, 200.0] {
-                let found = f64::from(visible_integral(&field, &hemisphere, axis, sharpness));
-                let expected = brute(&hemisphere, free, axis, sharpness);
-                let scale = f64::from(SphericalGaussian::unit_integral(sharpness));
-                let error = (found - expected).abs() / scale;
-                assert!(
-                    error < tolerance,
-                    "{axis} {sharpness}: {found}, not {expected}"
-                );
+                for weight in [Weight::Cosine, Weight::One] {
+                    let found = visible_integral(&field, &hemisphere, axis, sharpness, weight);
+                    let expected = brute(&hemisphere, free, axis, sharpness, weight);
+                    let scale = f64::from(SphericalGaussian::unit_integral(sharpness));
+                    let error = (f64::from(found) - expected).abs() / scale;
+                    assert!(
+                        error < tolerance,
+                        "{axis} {sharpness} {weight:?}: {found}, not {expected}"
+                    );
+                }
             }
         }
     }
@@ -222,6 +257,9 @@ mod tests {
     fn nothing_free_is_nothing() {
         let field = DistanceTransform::default().transform(&VisibilityMap::new(64, false));
         let hemisphere = Hemisphere::new(Vec3::Y, Vec3::X);
-        assert_eq!(visible_integral(&field, &hemisphere, Vec3::Y, 10.0), 0.0);
+        assert_eq!(
+            visible_integral(&field, &hemisphere, Vec3::Y, 10.0, Weight::One),
+            0.0
+        );
     }
 }

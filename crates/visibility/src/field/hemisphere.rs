@@ -39,6 +39,11 @@ impl Hemisphere {
         }
     }
 
+    /// The direction of a texel's centre in the axes side, normal, pole. `side` is a power of two from 16 to 1024.
+    pub fn texel(side: u32, row: usize, column: usize) -> Vec3 {
+        Grid::of(side).direction(row, column)
+    }
+
     /// From world space to the axes side, normal, pole.
     #[inline]
     pub fn to_local(&self, w: Vec3) -> Vec3 {

@@ -27,7 +27,7 @@ mod transform;
 #[cfg(test)]
 mod tests;
 
-pub use cells::visible_integral;
+pub use cells::{Distances, Weight, visible_integral};
 pub use distance::DistanceField;
 pub use gaussian::{SphericalGaussian, VisibleShare};
 pub use harmonics::{Harmonics, harmonics, visibility_error};

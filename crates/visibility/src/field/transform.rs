@@ -76,10 +76,23 @@ impl DistanceTransform {
     /// [`transform`](Self::transform) into a field that is there already.
     pub fn transform_into(&mut self, map: &VisibilityMap, field: &mut DistanceField) {
         #[cfg(target_arch = "x86_64")]
-        if std::arch::is_x86_feature_detected!("avx2") {
+        if std::arch::is_x86_feature_detected!("avx512f")
+            && std::arch::is_x86_feature_detected!("avx512bw")
+            && std::arch::is_x86_feature_detected!("avx512dq")
+            && std::arch::is_x86_feature_detected!("avx512vl")
+        {
+            // SAFETY: the machine has the instructions.
+            return unsafe { self.transform_avx512(map, field) };
+        } else if std::arch::is_x86_feature_detected!("avx2") {
             // SAFETY: the machine has the instructions.
             return unsafe { self.transform_avx2(map, field) };
         }
+        self.transform_by(map, field);
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl")]
+    fn transform_avx512(&mut self, map: &VisibilityMap, field: &mut DistanceField) {
         self.transform_by(map, field);
     }
 

@@ -13,7 +13,7 @@
 
 use super::eyes::Eye;
 use super::math::{asin, exp, wide};
-use super::points::Points;
+use super::points::{Near, Points};
 use super::sky::{Sky, WIDE, bend};
 use glam::Vec3;
 use occlude_visibility::field::VisibleShare;
@@ -74,6 +74,7 @@ pub(super) struct Anchors {
     near: [Vec<(u32, f32)>; ANCHORS],
     /// What of every lobe of the sky is seen, see [`Sky::seen_from`].
     seen: Vec<[f32; ANCHORS]>,
+    light: [Near; ANCHORS],
     /// Width of a pixel at a distance of 1, and at 0.
     pixel: [f32; 2],
 }
@@ -178,17 +179,28 @@ impl Anchors {
     pub(super) fn look(&mut self, points: &Points, lobes: usize) {
         self.seen.clear();
         self.seen.resize(lobes, [0.0; ANCHORS]);
+        self.light = Default::default();
         for (anchor, near) in self.near.iter().enumerate() {
             if self.eyes[anchor].is_none() {
                 continue;
             }
             for &(id, weight) in near {
-                let seen = &points.list[id as usize].seen;
-                for (sum, value) in self.seen.iter_mut().zip(seen) {
+                let point = &points.list[id as usize];
+                self.light[anchor].add(&point.near, weight);
+                for (sum, value) in self.seen.iter_mut().zip(&point.seen) {
                     sum[anchor] += value * weight;
                 }
             }
         }
+    }
+
+    /// Light from near by at a pixel.
+    pub(super) fn near(&self, at: &Predicted) -> Near {
+        let mut sum = Near::default();
+        for (anchor, near) in self.light.iter().enumerate() {
+            sum.add(near, at.across[anchor % SIDE] * at.down[anchor / SIDE]);
+        }
+        sum
     }
 
     /// Weights of the anchors at a pixel of the tile (fractional, from 0 to 7), and the mirrored line of sight that they predict; `None` if what is seen there is not

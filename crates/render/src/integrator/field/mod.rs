@@ -15,6 +15,7 @@
 //! Wrong tool for indirect light, for transmission other than by clear panes (it is left out), and for mirrors (one exact ray each).
 
 mod batch;
+mod cells;
 mod eyes;
 mod gloss;
 mod math;
@@ -22,10 +23,12 @@ mod points;
 mod shade;
 mod sky;
 mod start;
+mod views;
 
 #[cfg(test)]
 mod tests;
 
+use super::instant_radiosity::Prepared;
 use super::{RayCounts, RenderReport, RenderSettings, StoppedBy, World};
 use crate::camera::View;
 use crate::film::Film;
@@ -64,6 +67,15 @@ pub struct Field {
     pub light_samples: u32,
     /// Neighbouring pixels share distances where they may; otherwise each reads the fields by itself, which is slower and hardly more exact.
     pub shared: bool,
+    /// Fields take an eighth of the bytes, see [`DistanceField::packed`](occlude_visibility::field::DistanceField::packed).
+    pub packed: bool,
+    /// What of a lobe is visible is integrated over cells of the field (Eq. 5) instead of taken from the distance at its centre: hundreds of times slower, every pixel by
+    /// itself; a check of what the hemisphere approximation loses.
+    pub cells: bool,
+    /// Virtual lights for one bounce of diffuse light, gathered at the sample points; 0: none.
+    pub bounce: u32,
+    /// Short rays a pixel that find what blocks it close by and the points around it do not see; 0: none.
+    pub contact: u32,
 }
 
 impl Default for Field {
@@ -79,6 +91,10 @@ impl Default for Field {
             edge_samples: 4,
             light_samples: 4,
             shared: true,
+            packed: false,
+            cells: false,
+            bounce: 0,
+            contact: 0,
         }
     }
 }
@@ -153,6 +169,7 @@ impl Fields {
         view: &View,
         field: &Field,
         settings: &RenderSettings,
+        bounce: Option<&Prepared>,
         film: &mut Film,
         job: &Job,
     ) -> RenderReport {
@@ -232,10 +249,23 @@ impl Fields {
         }
         points.age();
         clock.add_to(&mut report.update);
-        points.transform();
+        points.transform(field.packed);
         clock.add_to(&mut report.transform);
         job.advance(1, 0);
         points.look_at(&self.sky);
+        if let Some(bounce) = bounce {
+            rays.secondary += bounce.rays;
+            let traced = points.gather(geometry, bounce);
+            (stats.queries, stats.traced) = (stats.queries + traced, stats.traced + traced);
+        }
+        let contact = if field.contact > 0 {
+            let reach = points.contact_reach();
+            let traced = points.touch(geometry, reach);
+            (stats.queries, stats.traced) = (stats.queries + traced, stats.traced + traced);
+            reach
+        } else {
+            0.0
+        };
 
         let (scene, pose) = (geometry.scene, geometry.pose);
         let exact = world.lights.without_extent(scene, pose);
@@ -251,6 +281,8 @@ impl Fields {
             areas: some_light(&areas),
             exact: some_light(&exact),
             seed: settings.seed,
+            contact,
+            near: bounce.is_some() || contact > 0.0,
         };
         let counts = shade(&shading, &eyes, settings, film);
         clock.add_to(&mut report.integration);

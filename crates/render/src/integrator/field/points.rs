@@ -8,6 +8,7 @@
 //! Weights fall to 0 at a point's radius, which follows from the distances of its neighbours. In a sequence radii and the strength of new and leaving points change
 //! little by little, so that nothing pops.
 
+use super::super::instant_radiosity::Prepared;
 use super::eyes::{Eye, Eyes};
 use super::{Field, sky::Sky};
 use crate::camera::View;
@@ -17,7 +18,7 @@ use occlude_visibility::field::{
     DistanceField, DistanceTransform, Harmonics, Hemisphere, Hint, MapSampler, MapSampling, Metric,
     Sites, VisibilityMap, harmonics, visibility_error,
 };
-use occlude_visibility::offset_along_normal;
+use occlude_visibility::{Ray, Tracer, offset_along_normal};
 use rayon::prelude::*;
 
 /// Neighbours that a point is compared with.
@@ -51,6 +52,8 @@ pub(super) struct Point {
     pub(super) harmonics: Harmonics,
     /// What of the sky's lobes arrives, see [`Sky::seen_from`].
     pub(super) seen: Vec<f32>,
+    /// Of light that comes from near by, see [`Near`].
+    pub(super) near: Near,
     /// Where its influence ends, in terms of [`Metric`].
     pub(super) radius: f32,
     /// From 0, new or about to go, to 1.
@@ -67,6 +70,23 @@ pub(super) struct Point {
     traced: bool,
     /// The field is of the map.
     transformed: bool,
+}
+
+/// What fields of the sky do not know, interpolated between points like what is seen of it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Near {
+    /// Irradiance after one bounce, W/m^2.
+    pub(super) bounced: Vec3,
+    /// Share of the cosine-weighted directions that something close by blocks.
+    pub(super) blocked: f32,
+}
+
+impl Near {
+    /// `self` plus `weight` times another.
+    pub(super) fn add(&mut self, other: &Self, weight: f32) {
+        self.bounced += other.bounced * weight;
+        self.blocked += other.blocked * weight;
+    }
 }
 
 /// All sample points of a sequence.
@@ -107,6 +127,7 @@ impl Point {
             field: DistanceField::default(),
             harmonics: Harmonics::default(),
             seen: Vec::new(),
+            near: Near::default(),
             radius: 0.0,
             strength,
             error: 0.0,
@@ -268,13 +289,20 @@ impl Points {
         (waiting.len() as u64, rays)
     }
 
-    /// Transforms the maps that have changed.
-    pub(super) fn transform(&mut self) {
+    /// Transforms the maps that have changed; packs the fields if so wanted.
+    pub(super) fn transform(&mut self, packed: bool) {
         self.list
             .par_iter_mut()
             .filter(|point| point.needed && !point.transformed)
-            .for_each_init(DistanceTransform::default, |transform, point| {
-                transform.transform_into(&point.map, &mut point.field);
+            .for_each_init(Default::default, |(transform, whole), point| {
+                let (transform, whole): (&mut DistanceTransform, &mut DistanceField) =
+                    (transform, whole);
+                if packed {
+                    transform.transform_into(&point.map, whole);
+                    point.field = whole.packed();
+                } else {
+                    transform.transform_into(&point.map, &mut point.field);
+                }
                 point.transformed = true;
             });
     }
@@ -294,6 +322,68 @@ impl Points {
                 } = point;
                 sky.seen_from(hemisphere, map, |w| field.at(hemisphere, w), seen);
             });
+    }
+
+    /// Light that virtual lights bring to every needed point, each by an exact ray. Returns the rays.
+    pub(super) fn gather(&mut self, geometry: &Geometry, bounce: &Prepared) -> u64 {
+        let (patches, most) = bounce.patches();
+        let patches: Vec<(Vec3, Vec3, Vec3)> = patches.collect();
+        let needed = self.list.par_iter_mut().filter(|point| point.needed);
+        let buffers = || (Vec::new(), Vec::new(), Vec::new());
+        needed
+            .map_init(buffers, |(rays, light, blocked), point| {
+                let spot = &point.spot;
+                let origin = offset_along_normal(spot.position, spot.flat, spot.extent);
+                rays.clear();
+                light.clear();
+                for &(target, normal, colour) in &patches {
+                    let step = target - spot.position;
+                    let square = step.length_squared().max(1e-12);
+                    let cosines = step.dot(spot.normal).max(0.0) * -step.dot(normal).min(0.0);
+                    let geometric = (cosines / (square * square)).min(most);
+                    if geometric > 0.0 {
+                        rays.push(Ray::between(origin, target));
+                        light.push(colour * geometric);
+                    }
+                }
+                blocked.clear();
+                blocked.resize(rays.len(), false);
+                geometry.occluded_batch(rays, blocked);
+                let free = light
+                    .iter()
+                    .zip(&*blocked)
+                    .filter(|(_, blocked)| !**blocked);
+                point.near.bounced = free.map(|(light, _)| *light).sum();
+                rays.len() as u64
+            })
+            .sum()
+    }
+
+    /// How far contact rays go, metres: half the usual reach of a point.
+    pub(super) fn contact_reach(&self) -> f32 {
+        let mut radii: Vec<f32> = (self.list.iter())
+            .filter(|point| point.needed)
+            .map(|point| point.radius)
+            .collect();
+        radii.sort_by(f32::total_cmp);
+        let usual = radii.get(radii.len() / 2).copied().unwrap_or(0.0);
+        0.5 * usual / self.metric.per_metre
+    }
+
+    /// What close by blocks every needed point. Returns the rays.
+    pub(super) fn touch(&mut self, geometry: &Geometry, reach: f32) -> u64 {
+        /// Rays a point: their error is shared by all pixels around.
+        const RAYS: u32 = 64;
+        let needed = self.list.par_iter_mut().filter(|point| point.needed);
+        needed
+            .map_init(Contact::default, |contact, point| {
+                let spot = &point.spot;
+                let origin = offset_along_normal(spot.position, spot.flat, spot.extent);
+                point.near.blocked =
+                    contact.blocked(geometry, origin, spot.normal, reach, RAYS, 0.0);
+                u64::from(RAYS)
+            })
+            .sum()
     }
 
     /// Inserts and erases points.
@@ -481,6 +571,45 @@ impl Points {
     /// Bytes of maps and fields.
     pub(super) fn bytes(&self) -> u64 {
         self.list.iter().map(|point| point.bytes() as u64).sum()
+    }
+}
+
+/// Short rays about a normal.
+#[derive(Debug, Default)]
+pub(super) struct Contact {
+    rays: Vec<Ray>,
+    blocked: Vec<bool>,
+}
+
+impl Contact {
+    /// Share of the cosine-weighted directions that are blocked within `reach`, by `count` rays; `turn` in turns rotates their pattern.
+    pub(super) fn blocked(
+        &mut self,
+        geometry: &Geometry,
+        origin: Vec3,
+        normal: Vec3,
+        reach: f32,
+        count: u32,
+        turn: f32,
+    ) -> f32 {
+        let (s, t) = normal.any_orthonormal_pair();
+        self.rays.clear();
+        self.rays.extend((0..count).map(|k| {
+            // A Fibonacci spiral, even in the projected hemisphere.
+            let square = (k as f32 + 0.5) / count as f32;
+            let angle = (0.618_034 * k as f32 + turn).fract() * std::f32::consts::TAU;
+            let (sin, cos) = angle.sin_cos();
+            let r = square.sqrt();
+            let w = (s * cos + t * sin) * r + normal * (1.0 - square).sqrt();
+            Ray {
+                t_max: reach,
+                ..Ray::new(origin, w)
+            }
+        }));
+        self.blocked.clear();
+        self.blocked.resize(count as usize, false);
+        geometry.occluded_batch(&self.rays, &mut self.blocked);
+        self.blocked.iter().filter(|blocked| **blocked).count() as f32 / count.max(1) as f32
     }
 }
 

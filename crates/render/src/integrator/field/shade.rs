@@ -1,13 +1,14 @@
 //! From sample points to pixels: neighbours are found and weighed, the sky's lobes meet the surface's, lights without size are asked by rays.
 
 use super::batch::{ANCHORS, AT, Anchors, Batch, ITEMS, Predicted};
+use super::cells::Cells;
 use super::eyes::{Eye, Panes, Tile, look};
 use super::gloss;
 use super::math::{exp, wide};
-use super::points::{Points, Reach};
+use super::points::{Contact, Near, Points, Reach};
 use super::sky::{Sky, WIDE};
 use super::{Field, World};
-use crate::bsdf::{Bsdf, Gloss, Reflection};
+use crate::bsdf::{Bsdf, Gloss};
 use crate::camera::View;
 use crate::film::Features;
 use crate::geometry::Surface;
@@ -34,6 +35,10 @@ pub(super) struct Shading<'f, 'a> {
     /// Points, spots and exact directions of the scene.
     pub(super) exact: Option<&'f Lights>,
     pub(super) seed: u64,
+    /// How far contact rays go, metres; 0: there are none.
+    pub(super) contact: f32,
+    /// Points know of light from near by.
+    pub(super) near: bool,
 }
 
 /// Buffers of one worker.
@@ -57,6 +62,8 @@ pub(super) struct Scratch {
     batch: Batch,
     /// Which pixels the batch is of.
     batched: Vec<u16>,
+    cells: Cells,
+    contact: Contact,
     pub(super) counts: Counts,
 }
 
@@ -156,6 +163,10 @@ impl Shading<'_, '_> {
         self.view.ray(corner + Vec2::new(x, y)).ray
     }
 
+    fn asks_points(&self) -> bool {
+        self.sky.len() > 0 || self.near
+    }
+
     /// Collects the points that reach a ball.
     fn gather(&self, centre: Vec3, radius: f32, scratch: &mut Scratch) {
         self.reach.around(centre, radius.max(0.0), &mut scratch.ids);
@@ -174,7 +185,8 @@ impl Shading<'_, '_> {
             anchors, predicted, ..
         } = scratch;
         predicted.clear();
-        if !self.settings.shared || self.sky.len() == 0 || tile.is_empty() || spots.len() < FEWEST {
+        let asks = self.settings.shared && !self.settings.cells && self.asks_points();
+        if !asks || tile.is_empty() || spots.len() < FEWEST {
             predicted.resize(spots.len(), None);
             return;
         }
@@ -311,20 +323,13 @@ impl Shading<'_, '_> {
         let wo = local_from_world * toward_eye;
         let bsdf = Bsdf::new(&surface.bsdf_parameters(geometry), wo);
         let reflection = bsdf.reflection();
-        if self.sky.len() > 0 {
+        if self.asks_points() {
             let coat = reflection
                 .coat
                 .map(|(gloss, own)| (gloss, surface.world_from_local * own));
             let glosses = [Some((reflection.gloss, normal)), coat];
-            radiance += self.under_sky(
-                pixel,
-                eye,
-                toward_eye,
-                &reflection,
-                glosses,
-                normal,
-                scratch,
-            );
+            let cosine = reflection.cosine;
+            radiance += self.under_sky(pixel, eye, &surface, toward_eye, cosine, glosses, scratch);
         }
         let mirrors = [
             Some(&reflection.gloss),
@@ -354,13 +359,14 @@ impl Shading<'_, '_> {
         &self,
         pixel: u16,
         eye: &Eye,
+        surface: &Surface,
         toward_eye: Vec3,
-        reflection: &Reflection,
+        mut cosine: Vec3,
         glosses: [Option<(Gloss, Vec3)>; 2],
-        normal: Vec3,
         scratch: &mut Scratch,
     ) -> Vec3 {
         let predicted = scratch.predicted[usize::from(pixel)];
+        let normal = surface.shading_normal();
         let mut radiance = Vec3::ZERO;
         let mut weighed = false;
         let mut weigh = |scratch: &mut Scratch| {
@@ -368,15 +374,37 @@ impl Shading<'_, '_> {
                 self.weigh(eye, scratch);
             }
         };
+        if self.near && cosine != Vec3::ZERO {
+            let near = match &predicted {
+                Some(at) => scratch.anchors.near(at),
+                None => {
+                    weigh(scratch);
+                    let mut sum = Near::default();
+                    for &(id, weight) in &scratch.near {
+                        sum.add(&self.points.list[id as usize].near, weight);
+                    }
+                    sum
+                }
+            };
+            radiance += cosine * near.bounced * FRAC_1_PI;
+            if self.contact > 0.0 {
+                cosine *= self.in_contact(pixel, surface, &near, scratch);
+            }
+        }
         let mut item = None;
         if let Some(at) = &predicted {
-            item = Some(scratch.batch.push(at, normal, reflection.cosine));
+            item = Some(scratch.batch.push(at, normal, cosine));
             scratch.batched.push(pixel);
-        } else if reflection.cosine != Vec3::ZERO {
+        } else if self.settings.cells {
+            weigh(scratch);
+            let Scratch { cells, near, .. } = scratch;
+            cells.set(self.points, normal, near);
+            radiance += scratch.cells.irradiance(self.points, self.sky) * cosine * FRAC_1_PI;
+        } else if cosine != Vec3::ZERO {
             weigh(scratch);
             self.interpolate_seen(scratch);
             let irradiance = self.sky.irradiance(normal, &scratch.seen);
-            radiance += reflection.cosine * irradiance * FRAC_1_PI;
+            radiance += cosine * irradiance * FRAC_1_PI;
         }
         let count = self.settings.gloss_lobes as usize;
         for (number, (gloss, about)) in glosses.into_iter().flatten().enumerate() {
@@ -397,6 +425,11 @@ impl Shading<'_, '_> {
                         let batch = &mut scratch.batch;
                         batch.gloss(item, layer, axis, lobe.sharpness, amplitude);
                     }
+                    _ if self.settings.cells => {
+                        let light =
+                            (scratch.cells).in_lobe(self.points, self.sky, axis, lobe.sharpness);
+                        radiance += light * amplitude;
+                    }
                     _ => {
                         weigh(scratch);
                         radiance += in_lobe(self, axis, lobe.sharpness, &scratch.near) * amplitude;
@@ -405,6 +438,20 @@ impl Shading<'_, '_> {
             }
         }
         radiance
+    }
+
+    /// What contact leaves of light from afar: the share that is free close by, over that of the points around.
+    fn in_contact(&self, pixel: u16, surface: &Surface, near: &Near, scratch: &mut Scratch) -> f32 {
+        /// Where points see next to nothing, a ratio says nothing.
+        const LEAST: f32 = 0.05;
+        let origin = offset_along_normal(surface.position, surface.normal, surface.extent);
+        let (normal, count) = (surface.shading_normal(), self.settings.contact);
+        scratch.counts.shadow += u64::from(count);
+        let turn = f32::from(pixel) * 0.754_877_7;
+        let geometry = self.world.geometry;
+        let contact = &mut scratch.contact;
+        let blocked = contact.blocked(geometry, origin, normal, self.contact, count, turn);
+        ((1.0 - blocked) / (1.0 - near.blocked).max(LEAST)).min(2.0)
     }
 
     /// Finds the points that speak for a place; their weights sum to 1.

@@ -144,6 +144,11 @@ impl Prepared {
         &self.vpls.shared
     }
 
+    /// What virtual lights bring to surface points: where rays end, normal, and radiance times area of each; and the bound on the geometry term.
+    pub(super) fn patches(&self) -> (impl Iterator<Item = (Vec3, Vec3, Vec3)>, f32) {
+        (self.vpls.patches(), self.clamp)
+    }
+
     fn compensates(&self) -> bool {
         self.settings.compensate && self.clamp.is_finite()
     }

@@ -84,6 +84,21 @@ impl LightList {
         (&mut self.blocks[last], lane)
     }
 
+    /// The virtual lights: where rays end, normal, and radiance times area.
+    pub(super) fn patches(&self) -> impl Iterator<Item = (Vec3, Vec3, Vec3)> {
+        let shared = self.shared.iter().enumerate();
+        shared.map(|(index, shared)| {
+            let (block, lane) = (&self.blocks[index / BLOCK], index % BLOCK);
+            let vec = |lanes: &[Lanes; 3]| Vec3::from_array(lanes.map(|lanes| lanes[lane]));
+            let place = vec(&block.place);
+            (
+                shared.target.unwrap_or(place),
+                vec(&block.axis),
+                vec(&block.colour),
+            )
+        })
+    }
+
     /// Adds a virtual light that sends `colour` (radiance times area) to its front, made by `events` scattering events.
     pub(super) fn push_patch(
         &mut self,
