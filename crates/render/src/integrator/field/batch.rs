@@ -416,10 +416,11 @@ fn matt(batch: &mut Batch, sky: &Sky, anchors: &Anchors) {
             }
         }
         for colour in 0..3 {
+            let (albedo, mut light) = (lanes(&batch.cosine[colour], start), [0.0; WIDE]);
             for k in 0..WIDE {
-                let albedo = batch.cosine[colour][start + k] * std::f32::consts::FRAC_1_PI;
-                batch.radiance[colour][start + k] = sums[colour][k] * albedo;
+                light[k] = sums[colour][k] * albedo[k] * std::f32::consts::FRAC_1_PI;
             }
+            batch.radiance[colour][start..start + WIDE].copy_from_slice(&light);
         }
     }
 }
@@ -452,8 +453,8 @@ fn products(layer: &mut Layer, sky: &Sky, len: usize, light: &mut Column) {
             let [a, b, c] = sky.axis.each_ref().map(|column| column[lobe]);
             let other = sky.sharpness[lobe];
             let bright: f32 = sky.amplitude.iter().map(|column| column[lobe]).sum();
-            let length = &mut layer.length[lobe][start..start + WIDE];
-            let value = &mut layer.value[lobe][start..start + WIDE];
+            // Arrays of their own, not parts of columns: those might overlap for all that the compiler knows, and it would go pixel by pixel.
+            let (mut length, mut value) = ([0.0; WIDE], [0.0; WIDE]);
             for k in 0..WIDE {
                 // SphericalGaussian::product; the exponent without the difference of large numbers.
                 let cos = x[k] * a + y[k] * b + z[k] * c;
@@ -461,12 +462,16 @@ fn products(layer: &mut Layer, sky: &Sky, len: usize, light: &mut Column) {
                 let twice = 2.0 * own[k] * other * (1.0 - cos);
                 let square = sum * sum - twice;
                 let root = (if square > 1e-12 { square } else { 1e-12 }).sqrt();
-                let whole = std::f32::consts::TAU * (1.0 - exp(-2.0 * root)) / root;
-                let product = exp(-twice / (root + sum)) * whole;
                 length[k] = root;
-                value[k] = product;
-                total[k] += product * bright;
+                value[k] = -twice / (root + sum);
             }
+            for k in 0..WIDE {
+                let whole = std::f32::consts::TAU * (1.0 - exp(-2.0 * length[k])) / length[k];
+                value[k] = exp(value[k]) * whole;
+                total[k] += value[k] * bright;
+            }
+            layer.length[lobe][start..start + WIDE].copy_from_slice(&length);
+            layer.value[lobe][start..start + WIDE].copy_from_slice(&value);
         }
         for k in 0..WIDE {
             light[start + k] += total[k] * weight[k];
@@ -618,12 +623,18 @@ fn shine(batch: &mut Batch, sky: &Sky, index: usize) {
         }
         let length = lanes(&layer.length[plan.lobe], start);
         let visible = share.at_eight(&distance, &length);
-        for (colour, (albedo, radiance)) in
-            colour.iter().zip(layer.amplitude.iter().zip(&mut batch.radiance))
+        let mut light = [0.0; WIDE];
+        for k in 0..WIDE {
+            light[k] = value[k] * visible[k];
+        }
+        for ((colour, albedo), radiance) in
+            colour.iter().zip(&layer.amplitude).zip(&mut batch.radiance)
         {
+            let (albedo, mut sum) = (lanes(albedo, start), lanes(radiance, start));
             for k in 0..WIDE {
-                radiance[start + k] += value[k] * visible[k] * colour * albedo[start + k];
+                sum[k] += light[k] * colour * albedo[k];
             }
+            radiance[start..start + WIDE].copy_from_slice(&sum);
         }
     }
 }

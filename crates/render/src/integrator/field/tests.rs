@@ -272,7 +272,7 @@ fn hard_sky() -> SkyLobes {
 /// Integrals over cells of the fields need no hemisphere approximation: at least as near to path tracing.
 #[test]
 fn cells_are_no_worse_than_their_approximation() {
-    let (scene, sky, view) = (still_life(0.35), hard_sky(), view(32, 24));
+    let (scene, sky, view) = (still_life(0.35), hard_sky(), view(24, 18));
     let reference = path(&scene, &sky, &view, 256);
     let cells = Field {
         cells: true,
