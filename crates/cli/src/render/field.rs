@@ -43,6 +43,10 @@ pub struct FieldArgs {
     #[arg(long, help_heading = "Work")]
     pub cells: bool,
 
+    /// Fields: ask emissive surfaces by exact rays, where they would be lobes behind maps of their own
+    #[arg(long, help_heading = "Work")]
+    pub exact_lamps: bool,
+
     /// Fields: one bounce of diffuse light by N virtual lights, gathered at the sample points
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(..=65_536), help_heading = "Work")]
     pub bounce: u32,
@@ -117,6 +121,7 @@ impl FieldArgs {
             most_points: usual.most_points.min(fit),
             packed: self.packed,
             cells: self.cells,
+            lamps: !self.exact_lamps,
             bounce: self.bounce,
             contact: self.contact,
             ..usual

@@ -28,6 +28,7 @@ use occlude_visibility::two_part::{Ball, TwoPart, TwoPartTracer};
 use occlude_visibility::{Class, Exact, Occluder, Visibility};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+use std::thread::ScopedJoinHandle;
 use std::time::Instant;
 
 /// First line of the file that says which frames are done.
@@ -273,6 +274,7 @@ impl Plan<'_> {
                     .any(|other| other > frame && !done_at_start.contains(other))
         };
         let mut hierarchies = None;
+        let environment = args.sky.environment(self.sky.as_ref());
         let mut lights: Option<Lights> = None;
         let mut total: Option<Total> = None;
         let finish = finish(args, self.scene, context.common.seed);
@@ -281,116 +283,126 @@ impl Plan<'_> {
         signals::graceful();
         let working_since = Instant::now();
         let mut cancelled = false;
-        for &frame in &self.frames {
-            let names = self.names(frame);
-            let replay = done_at_start.contains(&frame) && names.iter().all(|name| name.exists());
-            if replay && !replayed(&frame) {
-                continue;
-            }
-            if context.job.is_cancelled() {
-                cancelled = true;
-                break;
-            }
-            let began = Instant::now();
-            let geometry_moved = self.moving.contains(&true) && total.is_some();
-            let now = time(frame, args.fps);
-            if pose.time != now && !self.scene.motion.clips.is_empty() {
-                let before = std::mem::replace(&mut pose, Pose::at(self.scene, now));
-                if geometry_moved || before.lights != pose.lights {
-                    sequence.world_moved();
+        std::thread::scope(|scope| -> Result<(), CliError> {
+            let mut writing = None;
+            for &frame in &self.frames {
+                let names = self.names(frame);
+                let replay =
+                    done_at_start.contains(&frame) && names.iter().all(|name| name.exists());
+                if replay && !replayed(&frame) {
+                    continue;
                 }
-                if self.lights_move || before.lights != pose.lights {
-                    lights = None;
+                if context.job.is_cancelled() {
+                    cancelled = true;
+                    break;
                 }
-            }
-            let geometry = context.phase("build", |_| {
-                if lights.is_none() {
-                    lights = Some(setup::lights(args, self.scene, &pose, self.sky.as_ref()));
+                let began = Instant::now();
+                let geometry_moved = self.moving.contains(&true) && total.is_some();
+                let now = time(frame, args.fps);
+                if pose.time != now && !self.scene.motion.clips.is_empty() {
+                    let before = std::mem::replace(&mut pose, Pose::at(self.scene, now));
+                    if geometry_moved || before.lights != pose.lights {
+                        sequence.world_moved();
+                    }
+                    if self.lights_move || before.lights != pose.lights {
+                        lights = None;
+                    }
                 }
-                if field {
-                    Geometry::after(hierarchies.take(), self.scene, &pose)
-                } else if self.apart || !self.moving.contains(&true) {
-                    Geometry::in_sequence(self.scene, &pose, &still, &self.moving, &options)
-                } else {
-                    Geometry::new(self.scene, &pose, &options)
+                let geometry = context.phase("build", |_| {
+                    if lights.is_none() {
+                        let sky = environment.clone();
+                        lights = Some(setup::lights_under(args, self.scene, &pose, sky));
+                    }
+                    if field {
+                        Geometry::after(hierarchies.take(), self.scene, &pose)
+                    } else if self.apart || !self.moving.contains(&true) {
+                        Geometry::in_sequence(self.scene, &pose, &still, &self.moving, &options)
+                    } else {
+                        Geometry::new(self.scene, &pose, &options)
+                    }
+                });
+                let geometry = geometry.map_err(|error| self.untraceable(error))?;
+                let Some(lights) = &lights else {
+                    continue;
+                };
+                if geometry_moved {
+                    visibility.moved(&geometry, &before, geometry.moving());
+                    if let Some(secondary) = &mut sequence.secondary {
+                        secondary.moved(&geometry, &before);
+                    }
                 }
-            });
-            let geometry = geometry.map_err(|error| self.untraceable(error))?;
-            let Some(lights) = &lights else {
-                continue;
-            };
-            if geometry_moved {
-                visibility.moved(&geometry, &before, geometry.moving());
-                if let Some(secondary) = &mut sequence.secondary {
-                    secondary.moved(&geometry, &before);
+                before = geometry.moving().to_vec();
+                check_light(args, self.scene, lights)?;
+                counts.lights = lights.len() as u64;
+                context.stats.scene_counts = Some(counts);
+                let view = match &self.path {
+                    Some(path) => path.view(frame, args.size)?,
+                    None => view(args, self.scene, &pose)?,
+                };
+                let build = began.elapsed().as_secs_f64();
+                let world = World {
+                    geometry: &geometry,
+                    lights,
+                };
+                let mut film =
+                    Film::new(args.size.width, args.size.height, args.records_features());
+                let working = Instant::now();
+                let report = context.phase("work", |context| {
+                    let (job, settings) = (&context.job, &self.settings);
+                    sequence.render(
+                        &world,
+                        &view,
+                        &visibility,
+                        settings,
+                        &mut film,
+                        job,
+                        &mut |_| (),
+                    )
+                });
+                let work = working.elapsed().as_secs_f64();
+                total = Some(Total::add(total.take(), &report, &film));
+                if report.stopped_by == StoppedBy::Cancel {
+                    cancelled = true;
+                    break;
                 }
+                visibility.next_picture();
+                if replay {
+                    hierarchies = Some(geometry.into_hierarchies());
+                    continue;
+                }
+                // Written while the next frame is rendered.
+                context.phase("write", |_| written(&mut writing, &mut done))?;
+                self.save(&checkpoint, &done)?;
+                let finish = &finish;
+                writing = Some((frame, scope.spawn(move || finish.write(&film, &names))));
+                if let Some(prefix) = &args.record_views {
+                    let records = Visibility::<Geometry>::records(&visibility);
+                    let prefix = name(prefix, frame);
+                    write_views(&prefix, records, &sequence, &geometry, &view)?;
+                }
+                context.stats.frames.push(stats::Frame {
+                    frame,
+                    seconds: began.elapsed().as_secs_f64(),
+                    build,
+                    work,
+                    queries: report.visibility.queries,
+                    traced: report.visibility.traced,
+                    vpls_renewed: report.instant_radiosity.map(|ir| ir.renewed),
+                    field: self.parts(&report, build, work),
+                });
+                let whole = self.frames.iter().filter(|f| done.contains(f)).count();
+                let left = (self.frames.len() - whole).saturating_sub(1);
+                let rendered = context.stats.frames.len() as f64;
+                let pace = working_since.elapsed().as_secs_f64() / rendered;
+                context.progress.note(&format!(
+                    "frame {frame}: {work:.2} s; {left} of {} to go, about {:.0} s",
+                    self.frames.len(),
+                    left as f64 * pace
+                ));
             }
-            before = geometry.moving().to_vec();
-            check_light(args, self.scene, lights)?;
-            counts.lights = lights.len() as u64;
-            context.stats.scene_counts = Some(counts);
-            let view = match &self.path {
-                Some(path) => path.view(frame, args.size)?,
-                None => view(args, self.scene, &pose)?,
-            };
-            let build = began.elapsed().as_secs_f64();
-            let world = World {
-                geometry: &geometry,
-                lights,
-            };
-            let mut film = Film::new(args.size.width, args.size.height, args.records_features());
-            let working = Instant::now();
-            let report = context.phase("work", |context| {
-                let (job, settings) = (&context.job, &self.settings);
-                sequence.render(
-                    &world,
-                    &view,
-                    &visibility,
-                    settings,
-                    &mut film,
-                    job,
-                    &mut |_| (),
-                )
-            });
-            let work = working.elapsed().as_secs_f64();
-            total = Some(Total::add(total, &report, &film));
-            if report.stopped_by == StoppedBy::Cancel {
-                cancelled = true;
-                break;
-            }
-            visibility.next_picture();
-            if replay {
-                hierarchies = Some(geometry.into_hierarchies());
-                continue;
-            }
-            context.phase("write", |_| finish.write(&film, &names))?;
-            if let Some(prefix) = &args.record_views {
-                let records = Visibility::<Geometry>::records(&visibility);
-                let prefix = name(prefix, frame);
-                write_views(&prefix, records, &sequence, &geometry, &view)?;
-            }
-            done.insert(frame);
-            self.save(&checkpoint, &done)?;
-            context.stats.frames.push(stats::Frame {
-                frame,
-                seconds: began.elapsed().as_secs_f64(),
-                build,
-                work,
-                queries: report.visibility.queries,
-                traced: report.visibility.traced,
-                vpls_renewed: report.instant_radiosity.map(|ir| ir.renewed),
-                field: self.parts(&report, build, work),
-            });
-            let whole = self.frames.iter().filter(|f| done.contains(f)).count();
-            let left = self.frames.len() - whole;
-            let rendered = context.stats.frames.len() as f64;
-            let pace = working_since.elapsed().as_secs_f64() / rendered;
-            context.progress.note(&format!(
-                "frame {frame}: {work:.2} s; {left} of {} to go, about {:.0} s",
-                self.frames.len(),
-                left as f64 * pace
-            ));
-        }
+            context.phase("write", |_| written(&mut writing, &mut done))?;
+            self.save(&checkpoint, &done)
+        })?;
         context.progress.finish();
         if let Some(total) = &total {
             let (strategy, bytes) = match &total.report.field {
@@ -488,6 +500,22 @@ impl Plan<'_> {
             done.iter().try_for_each(|frame| writeln!(out, "{frame}"))
         })
     }
+}
+
+/// Waits until the frame that is being written is on disk.
+fn written(
+    writing: &mut Option<(u32, ScopedJoinHandle<Result<(), CliError>>)>,
+    done: &mut BTreeSet<u32>,
+) -> Result<(), CliError> {
+    let Some((frame, writer)) = writing.take() else {
+        return Ok(());
+    };
+    match writer.join() {
+        Ok(result) => result?,
+        Err(panic) => std::panic::resume_unwind(panic),
+    }
+    done.insert(frame);
+    Ok(())
 }
 
 /// Sums over the frames.

@@ -10,7 +10,7 @@ use occlude_image::Picture;
 use occlude_render::bsdf::BROAD_ROUGHNESS;
 use occlude_render::camera::View;
 use occlude_render::geometry::Geometry;
-use occlude_render::light::{self, LightSelection};
+use occlude_render::light::{self, Environment, LightSelection};
 use occlude_scene::{Pose, Scene};
 use std::path::Path;
 
@@ -74,7 +74,16 @@ pub fn lights(
     pose: &Pose,
     sky: Option<&Picture>,
 ) -> light::Lights {
-    let environment = args.sky.environment(sky);
+    lights_under(args, scene, pose, args.sky.environment(sky))
+}
+
+/// [`lights`] under a sky that is known.
+pub fn lights_under(
+    args: &RenderArgs,
+    scene: &Scene,
+    pose: &Pose,
+    environment: Option<Environment>,
+) -> light::Lights {
     let selection = match args.lights {
         Lights::Uniform => LightSelection::Uniform,
         Lights::Power => LightSelection::Power,

@@ -12,6 +12,7 @@ use super::luminance;
 use glam::{Vec2, Vec3};
 use occlude_image::Picture;
 use std::f32::consts::{FRAC_1_PI, PI, TAU};
+use std::sync::Arc;
 
 /// A sky: constant, or a lat-long map that is sampled by its brightness.
 #[derive(Clone, Debug)]
@@ -22,7 +23,7 @@ pub struct Environment {
 #[derive(Clone, Debug)]
 pub(super) enum Kind {
     Constant(Vec3),
-    Map(Box<Map>),
+    Map(Arc<Map>),
 }
 
 /// Columns of the sampling distribution at most; larger maps put several texels into one cell.
@@ -79,7 +80,7 @@ impl Environment {
             .and_then(|n| Map::new(width, height, clean(&picture.pixels[..n], scale), rotation));
         match map {
             Some(map) => Self {
-                kind: Kind::Map(Box::new(map)),
+                kind: Kind::Map(Arc::new(map)),
             },
             None => Self::constant(Vec3::ZERO),
         }

@@ -24,7 +24,7 @@ mod tree;
 pub(crate) use emission::{Emission, Emitted, Origin};
 pub use environment::Environment;
 pub use lobes::{SkyFit, SkyLobes, SkyResidual, SkySun};
-pub(crate) use parts::DeltaLight;
+pub(crate) use parts::{DeltaLight, EmissivePart};
 
 use emitter::{EmissiveTriangle, Emitters};
 use glam::{Vec2, Vec3};

@@ -56,6 +56,17 @@ impl DeltaLight {
     }
 }
 
+/// An emissive triangle.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct EmissivePart {
+    /// Counter-clockwise as seen from the front.
+    pub(crate) corners: [Vec3; 3],
+    /// Mean over its area.
+    pub(crate) radiance: Vec3,
+    pub(crate) double_sided: bool,
+    pub(crate) mesh: u32,
+}
+
 impl Lights {
     /// The lights without extent.
     pub(crate) fn deltas(&self) -> impl Iterator<Item = DeltaLight> {
@@ -95,6 +106,37 @@ impl Lights {
                 ..Self::none(self.selection)
             },
         )
+    }
+
+    /// Suns of the scene alone.
+    pub(crate) fn suns(&self, scene: &Scene, pose: &Pose) -> Self {
+        self.part(
+            scene,
+            pose,
+            Self {
+                suns: self.suns.clone(),
+                ..Self::none(self.selection)
+            },
+        )
+    }
+
+    /// The emissive triangles.
+    pub(crate) fn emissive(&self) -> impl ExactSizeIterator<Item = EmissivePart> {
+        self.emitters.triangles.iter().map(|triangle| {
+            let facet = &triangle.facet;
+            let [a, b, c] = [
+                facet.origin,
+                facet.origin + facet.edge1,
+                facet.origin + facet.edge2,
+            ];
+            let front = facet.edge1.cross(facet.edge2).dot(facet.front) > 0.0;
+            EmissivePart {
+                corners: if front { [a, b, c] } else { [a, c, b] },
+                radiance: triangle.mean_radiance,
+                double_sided: triangle.double_sided,
+                mesh: triangle.mesh,
+            }
+        })
     }
 
     /// The environment without suns, if it shines.

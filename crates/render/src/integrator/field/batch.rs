@@ -12,6 +12,7 @@
 //! predicted (edges, bumps) are shaded one by one: that is the slow twin, which tests compare with.
 
 use super::eyes::Eye;
+use super::lamps::Distances;
 use super::math::{asin, exp, wide};
 use super::points::{Near, Points};
 use super::sky::{Sky, WIDE, bend};
@@ -75,6 +76,7 @@ pub(super) struct Anchors {
     /// What of every lobe of the sky is seen, see [`Sky::seen_from`].
     seen: Vec<[f32; ANCHORS]>,
     light: [Near; ANCHORS],
+    lamps: [Distances; ANCHORS],
     /// Width of a pixel at a distance of 1, and at 0.
     pixel: [f32; 2],
 }
@@ -180,6 +182,7 @@ impl Anchors {
         self.seen.clear();
         self.seen.resize(lobes, [0.0; ANCHORS]);
         self.light = Default::default();
+        self.lamps = Default::default();
         for (anchor, near) in self.near.iter().enumerate() {
             if self.eyes[anchor].is_none() {
                 continue;
@@ -187,6 +190,9 @@ impl Anchors {
             for &(id, weight) in near {
                 let point = &points.list[id as usize];
                 self.light[anchor].add(&point.near, weight);
+                for (sum, distance) in self.lamps[anchor].iter_mut().zip(&point.lamps) {
+                    *sum += distance * weight;
+                }
                 for (sum, value) in self.seen.iter_mut().zip(&point.seen) {
                     sum[anchor] += value * weight;
                 }
@@ -199,6 +205,18 @@ impl Anchors {
         let mut sum = Near::default();
         for (anchor, near) in self.light.iter().enumerate() {
             sum.add(near, at.across[anchor % SIDE] * at.down[anchor / SIDE]);
+        }
+        sum
+    }
+
+    /// How far edges of visibility are from the middles of lamps, at a pixel.
+    pub(super) fn lamps(&self, at: &Predicted) -> Distances {
+        let mut sum = Distances::default();
+        for (anchor, distances) in self.lamps.iter().enumerate() {
+            let weight = at.across[anchor % SIDE] * at.down[anchor / SIDE];
+            for (sum, distance) in sum.iter_mut().zip(distances) {
+                *sum += distance * weight;
+            }
         }
         sum
     }

@@ -9,7 +9,8 @@
 //! 3. maps become fields of distances, and what of the sky's lobes ([`sky`]) arrives at each point is taken from them;
 //! 4. pixels interpolate between points; lobes of the sky meet lobes of the surface ([`gloss`], [`shade`]); pixels on edges get more samples.
 //!
-//! Lights without size, suns and emissive surfaces are asked by exact rays: a map does not know how far its occluders are. The picture is that of
+//! Emissive surfaces have maps of their own, which end before them ([`lamps`]). Lights without size and suns are asked by exact rays: a map does not know how far
+//! its occluders are. The picture is that of
 //! `--max-depth 1`, biased: by the fit of the sky, the resolution of maps, the distance of points and the hemisphere approximation.
 //!
 //! Wrong tool for indirect light, for transmission other than by clear panes (it is left out), and for mirrors (one exact ray each).
@@ -18,6 +19,7 @@ mod batch;
 mod cells;
 mod eyes;
 mod gloss;
+mod lamps;
 mod math;
 mod points;
 mod shade;
@@ -36,6 +38,7 @@ use crate::job::Job;
 use crate::light::{Lights, SkyFit, SkyLobes, SkySun};
 use eyes::{Eyes, TILE};
 use glam::{Vec2, Vec3};
+use lamps::Lamps;
 use occlude_visibility::VisibilityStats;
 use occlude_visibility::field::{MapSampling, Metric};
 use points::{Changes, Points, Reach, Round};
@@ -72,6 +75,8 @@ pub struct Field {
     /// What of a lobe is visible is integrated over cells of the field (Eq. 5) instead of taken from the distance at its centre: hundreds of times slower, every pixel by
     /// itself; a check of what the hemisphere approximation loses.
     pub cells: bool,
+    /// Emissive surfaces are lobes behind maps of their own, if they are few; otherwise they are asked by exact rays.
+    pub lamps: bool,
     /// Virtual lights for one bounce of diffuse light, gathered at the sample points; 0: none.
     pub bounce: u32,
     /// Short rays a pixel that find what blocks it close by and the points around it do not see; 0: none.
@@ -93,6 +98,7 @@ impl Default for Field {
             shared: true,
             packed: false,
             cells: false,
+            lamps: true,
             bounce: 0,
             contact: 0,
         }
@@ -269,7 +275,22 @@ impl Fields {
 
         let (scene, pose) = (geometry.scene, geometry.pose);
         let exact = world.lights.without_extent(scene, pose);
-        let areas = world.lights.areas(scene, pose);
+        let lamps = if field.lamps {
+            Lamps::new(world.lights.emissive().collect())
+        } else {
+            None
+        };
+        let areas = match &lamps {
+            Some(_) => world.lights.suns(scene, pose),
+            None => world.lights.areas(scene, pose),
+        };
+        let lamps = lamps.as_ref().filter(|lamps| lamps.len() > 0);
+        if let Some(lamps) = lamps {
+            let traced = points.look_at_lamps(geometry, lamps);
+            report.rays += traced;
+            (stats.queries, stats.traced) = (stats.queries + traced, stats.traced + traced);
+            clock.add_to(&mut report.visibility);
+        }
         let reach = Reach::new(points, |point| point.needed);
         let shading = Shading {
             world,
@@ -278,6 +299,7 @@ impl Fields {
             points,
             reach: &reach,
             sky: &self.sky,
+            lamps,
             areas: some_light(&areas),
             exact: some_light(&exact),
             seed: settings.seed,

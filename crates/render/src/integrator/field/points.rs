@@ -10,6 +10,7 @@
 
 use super::super::instant_radiosity::Prepared;
 use super::eyes::{Eye, Eyes};
+use super::lamps::{Distances, Lamps, Window};
 use super::{Field, sky::Sky};
 use crate::camera::View;
 use crate::geometry::{Geometry, Place, Spot};
@@ -54,6 +55,8 @@ pub(super) struct Point {
     pub(super) seen: Vec<f32>,
     /// Of light that comes from near by, see [`Near`].
     pub(super) near: Near,
+    /// How far edges of visibility are from the middles of lamps, see [`Lamps::look`].
+    pub(super) lamps: Distances,
     /// Where its influence ends, in terms of [`Metric`].
     pub(super) radius: f32,
     /// From 0, new or about to go, to 1.
@@ -128,6 +131,7 @@ impl Point {
             harmonics: Harmonics::default(),
             seen: Vec::new(),
             near: Near::default(),
+            lamps: Distances::default(),
             radius: 0.0,
             strength,
             error: 0.0,
@@ -322,6 +326,18 @@ impl Points {
                 } = point;
                 sky.seen_from(hemisphere, map, |w| field.at(hemisphere, w), seen);
             });
+    }
+
+    /// Looks at the lamps from every needed point. Returns the rays.
+    pub(super) fn look_at_lamps(&mut self, geometry: &Geometry, lamps: &Lamps) -> u64 {
+        let needed = self.list.par_iter_mut().filter(|point| point.needed);
+        needed
+            .map_init(Window::default, |window, point| {
+                let spot = &point.spot;
+                let origin = offset_along_normal(spot.position, spot.flat, spot.extent);
+                lamps.look(geometry, origin, spot.normal, window, &mut point.lamps)
+            })
+            .sum()
     }
 
     /// Light that virtual lights bring to every needed point, each by an exact ray. Returns the rays.

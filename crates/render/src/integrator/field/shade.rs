@@ -4,6 +4,7 @@ use super::batch::{ANCHORS, AT, Anchors, Batch, ITEMS, Predicted};
 use super::cells::Cells;
 use super::eyes::{Eye, Panes, Tile, look};
 use super::gloss;
+use super::lamps::{Distances, Lamps, Seen};
 use super::math::{exp, wide};
 use super::points::{Contact, Near, Points, Reach};
 use super::sky::{Sky, WIDE};
@@ -30,7 +31,9 @@ pub(super) struct Shading<'f, 'a> {
     pub(super) points: &'f Points,
     pub(super) reach: &'f Reach,
     pub(super) sky: &'f Sky,
-    /// Emissive surfaces and suns of the scene.
+    /// Emissive surfaces as lobes, unless there are none or too many.
+    pub(super) lamps: Option<&'f Lamps>,
+    /// Suns of the scene, and emissive surfaces that are no lobes.
     pub(super) areas: Option<&'f Lights>,
     /// Points, spots and exact directions of the scene.
     pub(super) exact: Option<&'f Lights>,
@@ -63,6 +66,7 @@ pub(super) struct Scratch {
     /// Which pixels the batch is of.
     batched: Vec<u16>,
     cells: Cells,
+    lamps: Vec<Seen>,
     contact: Contact,
     pub(super) counts: Counts,
 }
@@ -164,7 +168,7 @@ impl Shading<'_, '_> {
     }
 
     fn asks_points(&self) -> bool {
-        self.sky.len() > 0 || self.near
+        self.sky.len() > 0 || self.near || self.lamps.is_some()
     }
 
     /// Collects the points that reach a ball.
@@ -374,6 +378,27 @@ impl Shading<'_, '_> {
                 self.weigh(eye, scratch);
             }
         };
+        if let Some(lamps) = self.lamps {
+            let distances = match &predicted {
+                Some(at) => scratch.anchors.lamps(at),
+                None => {
+                    weigh(scratch);
+                    let mut sum = Distances::default();
+                    for &(id, weight) in &scratch.near {
+                        let own = &self.points.list[id as usize].lamps;
+                        for (sum, distance) in sum.iter_mut().zip(own) {
+                            *sum += distance * weight;
+                        }
+                    }
+                    sum
+                }
+            };
+            lamps.seen(surface.position, normal, &distances, &mut scratch.lamps);
+            if cosine != Vec3::ZERO {
+                let light = lamps.irradiance(surface.position, normal, &scratch.lamps);
+                radiance += cosine * light * FRAC_1_PI;
+            }
+        }
         if self.near && cosine != Vec3::ZERO {
             let near = match &predicted {
                 Some(at) => scratch.anchors.near(at),
@@ -419,6 +444,9 @@ impl Shading<'_, '_> {
                     continue;
                 }
                 let amplitude = gloss.albedo * lobe.amplitude;
+                for lamp in &scratch.lamps {
+                    radiance += lamp.in_lobe(axis, lobe.sharpness) * amplitude;
+                }
                 match (item, &predicted) {
                     (Some(item), Some(at)) if at.leads_to(axis, lobe.sharpness) => {
                         let layer = number * count + k;
