@@ -223,7 +223,7 @@ pub fn monte_carlo(setting: &Setting, report: &mut Report) {
 }
 
 /// FLIP, and the relative difference of sums.
-fn errors(picture: &Picture, reference: &Picture) -> (f64, f64) {
+pub fn errors(picture: &Picture, reference: &Picture) -> (f64, f64) {
     let sum = |p: &Picture| {
         p.pixels
             .iter()
@@ -235,7 +235,7 @@ fn errors(picture: &Picture, reference: &Picture) -> (f64, f64) {
     (flip, sum(picture) / sum(reference) - 1.0)
 }
 
-fn save(setting: &Setting, name: &str, picture: &Picture) {
+pub fn save(setting: &Setting, name: &str, picture: &Picture) {
     let look = Look {
         tone_map: ToneMap::default(),
         exposure_ev: 0.0,

@@ -1,11 +1,14 @@
 //! `dynamic`: fields of visibility on moving scenes under a sky (Wang et al. 2013).
 //!
 //! Topics: `transform` (time by resolution), `maps` (rays and wrong texels of adaptive maps), `frames` (Table 1), `monte-carlo` (time to equal FLIP against
-//! path tracing with multiple importance sampling, and where the error comes from).
+//! path tracing with multiple importance sampling, and the error against the true sky), `passes` (Figs. 4 and 5), `grid` (Fig. 6), `raster` (Fig. 7), `memory`, `flicker`,
+//! `causes` (of error) and `builds` (refits against builds).
 
 mod frames;
 mod maps;
+mod raster;
 mod stage;
+mod studies;
 
 use crate::common::{Report, Setting};
 
@@ -27,6 +30,19 @@ pub fn run(setting: &Setting) -> Report {
     }
     if setting.wants_topic("monte-carlo") {
         frames::monte_carlo(setting, &mut report);
+    }
+    for (topic, study) in [
+        ("passes", studies::passes as fn(&Setting, &mut Report)),
+        ("grid", studies::grid),
+        ("memory", studies::memory),
+        ("flicker", studies::flicker),
+        ("causes", studies::causes),
+        ("builds", studies::builds),
+        ("raster", raster::compare),
+    ] {
+        if setting.wants_topic(topic) {
+            study(setting, &mut report);
+        }
     }
     report
 }

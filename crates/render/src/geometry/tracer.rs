@@ -181,13 +181,13 @@ impl Part {
     }
 
     /// Takes over another pose of all instances; false if that was not possible, or has made the hierarchies so much worse that building anew pays.
-    fn refit(&mut self, scene: &Scene, pose: &Pose) -> bool {
+    fn refit(&mut self, scene: &Scene, pose: &Pose, worn: f32) -> bool {
         let inputs = Inputs::new(scene, pose, |_| true);
         let again = |accel: &mut Arc<Accel>, pane: bool| {
             Arc::get_mut(accel).is_some_and(|accel| {
                 let done = accel.refit(&inputs.meshes(pane), &inputs.instances);
                 let stats = accel.stats();
-                done.is_ok() && stats.cost <= WORN * stats.built_cost
+                done.is_ok() && stats.cost <= worn * stats.built_cost
             })
         };
         again(&mut self.blockers, false)
@@ -240,7 +240,7 @@ impl<'a> Geometry<'a> {
         pose: &'a Pose,
     ) -> Result<Self, GeometryError> {
         if let Some(Hierarchies(mut part)) = before
-            && part.refit(scene, pose)
+            && part.refit(scene, pose, WORN)
         {
             return Self::of_parts(scene, pose, part, None);
         }
@@ -250,6 +250,20 @@ impl<'a> Geometry<'a> {
             ..BuildOptions::default()
         };
         Self::new(scene, pose, &options)
+    }
+
+    /// [`after`](Self::after) without a limit to how worn hierarchies may be: for measuring what refits cost.
+    pub fn refitted(
+        before: Option<Hierarchies>,
+        scene: &'a Scene,
+        pose: &'a Pose,
+    ) -> Result<Self, GeometryError> {
+        if let Some(Hierarchies(mut part)) = before
+            && part.refit(scene, pose, f32::INFINITY)
+        {
+            return Self::of_parts(scene, pose, part, None);
+        }
+        Self::after(None, scene, pose)
     }
 
     /// Ends a picture: what [`after`](Self::after) starts the next one with.

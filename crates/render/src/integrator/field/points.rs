@@ -659,46 +659,88 @@ fn nearest(distances: &[f32], own: usize) -> Vec<(u32, f32)> {
     near
 }
 
+/// Points that are looked at together.
+const GROUP: usize = 16;
+
 /// Points and how far in space they reach, for balls that ask who reaches them.
 #[derive(Debug)]
 pub(super) struct Reach {
+    /// Positions and how far they reach, in the order of a curve through space.
     columns: [Vec<f32>; 4],
     ids: Vec<u32>,
+    /// Balls that hold [`GROUP`] points each, as far as they reach.
+    groups: Vec<(Vec3, f32)>,
 }
 
 impl Reach {
     pub(super) fn new(points: &Points, wanted: impl Fn(&Point) -> bool) -> Self {
+        let wanted: Vec<u32> = (points.list.iter().enumerate())
+            .filter(|(_, point)| wanted(point))
+            .map(|(id, _)| id as u32)
+            .collect();
+        let place = |id: u32| points.list[id as usize].spot.position;
+        let (mut low, mut high) = (Vec3::splat(f32::INFINITY), Vec3::splat(f32::NEG_INFINITY));
+        for &id in &wanted {
+            (low, high) = (low.min(place(id)), high.max(place(id)));
+        }
+        let scale = 255.0 / (high - low).max_element().max(1e-20);
+        let mut keyed: Vec<(u32, u32)> = (wanted.iter())
+            .map(|&id| (along_curve((place(id) - low) * scale), id))
+            .collect();
+        keyed.sort_unstable();
         let mut reach = Self {
             columns: Default::default(),
-            ids: Vec::new(),
+            ids: keyed.iter().map(|&(_, id)| id).collect(),
+            groups: Vec::new(),
         };
-        for (id, point) in points.list.iter().enumerate() {
-            if wanted(point) {
-                let Vec3 { x, y, z } = point.spot.position;
-                let metres = point.radius / points.metric.per_metre;
-                for (column, value) in reach.columns.iter_mut().zip([x, y, z, metres]) {
-                    column.push(value);
-                }
-                reach.ids.push(id as u32);
+        let metres = |id: u32| points.list[id as usize].radius / points.metric.per_metre;
+        for &id in &reach.ids {
+            let Vec3 { x, y, z } = place(id);
+            for (column, value) in reach.columns.iter_mut().zip([x, y, z, metres(id)]) {
+                column.push(value);
             }
+        }
+        for group in reach.ids.chunks(GROUP) {
+            let middle = group.iter().map(|&id| place(id)).sum::<Vec3>() / group.len() as f32;
+            let far = group
+                .iter()
+                .map(|&id| place(id).distance(middle) + metres(id));
+            // A hair more, for rounding.
+            let radius = far.fold(0.0, f32::max) * 1.0001;
+            reach.groups.push((middle, radius));
         }
         reach
     }
 
-    /// The points whose reach meets a ball, in ascending order.
+    /// The points whose reach meets a ball, in an order of their own that is always the same.
     pub(super) fn around(&self, centre: Vec3, radius: f32, out: &mut Vec<u32>) {
         out.clear();
         find(self, centre, radius, out);
     }
 }
 
+/// The place of a point of `[0, 256)^3` on the Morton curve.
+fn along_curve(p: Vec3) -> u32 {
+    p.to_array().iter().enumerate().fold(0, |code, (axis, &v)| {
+        let cell = (v as u32).min(255);
+        (0..8).fold(code, |code, bit| {
+            code | (cell >> bit & 1) << (3 * bit + axis as u32)
+        })
+    })
+}
+
 super::math::wide! {
 fn find(reach: &Reach, centre: Vec3, radius: f32, out: &mut Vec<u32>) {
     let count = reach.ids.len();
     let [x, y, z, r] = reach.columns.each_ref().map(|column| &column[..count]);
-    for start in (0..count).step_by(16) {
-        let end = (start + 16).min(count);
-        let mut meets = [false; 16];
+    for (group, &(middle, far)) in reach.groups.iter().enumerate() {
+        let sum = far + radius;
+        if middle.distance_squared(centre) >= sum * sum {
+            continue;
+        }
+        let start = group * GROUP;
+        let end = (start + GROUP).min(count);
+        let mut meets = [false; GROUP];
         for k in start..end {
             let (dx, dy, dz) = (x[k] - centre.x, y[k] - centre.y, z[k] - centre.z);
             let sum = r[k] + radius;

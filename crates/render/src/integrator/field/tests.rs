@@ -354,6 +354,36 @@ fn contact_rays_find_what_points_miss() {
     assert!(with < 0.8 * without, "{with} {without}");
 }
 
+/// A lamp as lobes behind maps of its own casts the shadows of path tracing, and is no occluder itself.
+#[test]
+fn lamps_cast_shadows() {
+    let mut scene = still_life(0.4);
+    let mut panel = floor(0.35);
+    panel.triangles.iter_mut().for_each(|t| t.swap(1, 2));
+    let lamp = Material {
+        emission: Vec3::new(20.0, 18.0, 15.0),
+        ..material([0.0; 3], 1.0, 0.0)
+    };
+    add(&mut scene, panel, Vec3::new(0.2, 1.8, 0.1), lamp);
+    // A ceiling close above it, which is behind the lamp for all below.
+    let ceiling = material([0.5; 3], 1.0, 0.0);
+    add(&mut scene, floor(3.0), Vec3::new(0.0, 1.85, 0.0), ceiling);
+    let sky = sky(&[lobe([0.0, 0.2, 1.0], 2.0, [0.2; 3])]);
+    let view = view(80, 60);
+    let reference = path(&scene, &sky, &view, 1024);
+    let (energy, wrong) = compare(&field(&scene, &sky, &view, Field::default()), &reference);
+    let rays = Field {
+        lamps: false,
+        light_samples: 64,
+        ..Field::default()
+    };
+    let (by_rays, limit) = compare(&field(&scene, &sky, &view, rays), &reference);
+    println!(
+        "energy {energy:+.4} ({by_rays:+.4} by rays), relative squares {wrong:.5} ({limit:.5} by rays)"
+    );
+    assert!(energy.abs() < 0.02 && wrong < 0.01, "{energy} {wrong}");
+}
+
 /// What a mask cuts out blocks nothing: a picture of leaves' shadows is that of path tracing.
 #[test]
 fn masks_let_light_pass() {
