@@ -69,6 +69,18 @@ pub struct FilmTile {
     film: Film,
 }
 
+/// Some rows of a film.
+#[derive(Debug)]
+pub struct FilmBand<'a> {
+    width: u32,
+    /// The first row.
+    first: u32,
+    radiance: &'a mut [[FixedSum; 3]],
+    squares: &'a mut [FixedSum],
+    samples: &'a mut [u32],
+    features: Option<&'a mut [FeatureSums]>,
+}
+
 impl Film {
     /// An empty film of `width` x `height` pixels, with feature sums if asked.
     pub fn new(width: u32, height: u32, features: bool) -> Self {
@@ -156,27 +168,61 @@ impl Film {
     /// # Panics
     /// If the pixel is outside.
     pub fn add(&mut self, x: u32, y: u32, radiance: Vec3, features: Option<&Features>) {
-        let i = self.index(x, y);
-        self.samples[i] += 1;
-        if let (Some(sums), Some(f)) = (&mut self.features, features) {
-            let values = [
-                f.albedo.x, f.albedo.y, f.albedo.z, f.normal.x, f.normal.y, f.normal.z, f.depth,
-            ];
-            for (sum, value) in sums[i].iter_mut().zip(values) {
-                if value.is_finite() {
-                    sum.add(f64::from(value));
+        let dropped = self.whole().add(x, y, radiance, features);
+        self.dropped += u64::from(dropped);
+    }
+
+    fn whole(&mut self) -> FilmBand<'_> {
+        FilmBand {
+            width: self.width,
+            first: 0,
+            radiance: &mut self.radiance,
+            squares: &mut self.squares,
+            samples: &mut self.samples,
+            features: self.features.as_deref_mut(),
+        }
+    }
+
+    /// The film cut into bands of so many rows (the last may have fewer), from the top, for workers that add to one each.
+    pub fn bands(&mut self, rows: u32) -> Vec<FilmBand<'_>> {
+        let mut rest = self.whole();
+        let mut bands = Vec::new();
+        let size = rows.max(1) as usize * rest.width as usize;
+        while rest.samples.len() > size {
+            let (radiance, radiance_rest) = rest.radiance.split_at_mut(size);
+            let (squares, squares_rest) = rest.squares.split_at_mut(size);
+            let (samples, samples_rest) = rest.samples.split_at_mut(size);
+            let (features, features_rest) = match rest.features {
+                Some(features) => {
+                    let (features, rest) = features.split_at_mut(size);
+                    (Some(features), Some(rest))
                 }
-            }
+                None => (None, None),
+            };
+            bands.push(FilmBand {
+                width: rest.width,
+                first: rest.first,
+                radiance,
+                squares,
+                samples,
+                features,
+            });
+            rest = FilmBand {
+                width: rest.width,
+                first: rest.first + rows.max(1),
+                radiance: radiance_rest,
+                squares: squares_rest,
+                samples: samples_rest,
+                features: features_rest,
+            };
         }
-        if !radiance.is_finite() {
-            self.dropped += 1;
-            return;
-        }
-        for (sum, value) in self.radiance[i].iter_mut().zip(radiance.to_array()) {
-            sum.add(f64::from(value));
-        }
-        let luminance = f64::from(LUMINANCE.dot(radiance));
-        self.squares[i].add(luminance * luminance);
+        bands.push(rest);
+        bands
+    }
+
+    /// Counts samples of bands that were not finite.
+    pub fn add_dropped(&mut self, samples: u64) {
+        self.dropped += samples;
     }
 
     /// Adds a splat. Each sample of each pixel stands for one light path, whether it brought splats or not. A splat that is
@@ -327,6 +373,38 @@ impl Film {
                 all.iter().enumerate().map(mean).collect()
             }),
         }
+    }
+}
+
+impl FilmBand<'_> {
+    /// Adds one sample; coordinates are those of the whole film. True if it is not finite: it counts as black then, and should be reported by
+    /// [`Film::add_dropped`].
+    ///
+    /// # Panics
+    /// If the pixel is outside of the band.
+    #[must_use]
+    pub fn add(&mut self, x: u32, y: u32, radiance: Vec3, features: Option<&Features>) -> bool {
+        let i = (y - self.first) as usize * self.width as usize + x as usize;
+        self.samples[i] += 1;
+        if let (Some(sums), Some(f)) = (&mut self.features, features) {
+            let values = [
+                f.albedo.x, f.albedo.y, f.albedo.z, f.normal.x, f.normal.y, f.normal.z, f.depth,
+            ];
+            for (sum, value) in sums[i].iter_mut().zip(values) {
+                if value.is_finite() {
+                    sum.add(f64::from(value));
+                }
+            }
+        }
+        if !radiance.is_finite() {
+            return true;
+        }
+        for (sum, value) in self.radiance[i].iter_mut().zip(radiance.to_array()) {
+            sum.add(f64::from(value));
+        }
+        let luminance = f64::from(LUMINANCE.dot(radiance));
+        self.squares[i].add(luminance * luminance);
+        false
     }
 }
 

@@ -366,12 +366,14 @@ fn shade(shading: &Shading, eyes: &Eyes, settings: &RenderSettings, film: &mut F
         let tile = &eyes.tiles[index];
         &middles[index].0[((y - tile.y) * tile.width + x - tile.x) as usize]
     };
-    let is_edge = |x: u32, y: u32| {
+    let edge_samples = |x: u32, y: u32| {
         let here = at(x, y);
         let xs = [x.saturating_sub(1), (x + 1).min(width - 1)];
         let ys = [y.saturating_sub(1), (y + 1).min(height - 1)];
         let beside = [(xs[0], y), (xs[1], y), (x, ys[0]), (x, ys[1])];
-        beside.iter().any(|&(x, y)| differ(here, at(x, y)))
+        let most = shading.settings.edge_samples;
+        let wanted = beside.iter().map(|&(x, y)| edge(here, at(x, y), most));
+        wanted.max().unwrap_or(0)
     };
     let samples = settings.samples.clone();
     let all = samples.end.saturating_sub(samples.start).max(1) - 1;
@@ -381,11 +383,7 @@ fn shade(shading: &Shading, eyes: &Eyes, settings: &RenderSettings, film: &mut F
             let (mut pixels, mut spots) = (Vec::new(), Vec::new());
             for i in 0..tile.width * tile.height {
                 let (x, y) = (i % tile.width, i / tile.width);
-                let edge = if is_edge(tile.x + x, tile.y + y) {
-                    shading.settings.edge_samples
-                } else {
-                    0
-                };
+                let edge = edge_samples(tile.x + x, tile.y + y);
                 for number in 1..=all.max(edge) {
                     let turn = |step: f32| (step * number as f32 + 0.5).fract();
                     let uv = Vec2::new(turn(0.754_877_7), turn(0.569_840_3));
@@ -404,28 +402,43 @@ fn shade(shading: &Shading, eyes: &Eyes, settings: &RenderSettings, film: &mut F
             (out, scratch.counts)
         })
         .collect();
+    let dropped: u64 = (film.bands(TILE).into_par_iter().enumerate())
+        .map(|(row, mut band)| {
+            let tiles = row * across as usize..(row + 1) * across as usize;
+            let mut dropped = 0;
+            for index in tiles {
+                let tile = &eyes.tiles[index];
+                let firsts = middles[index].0.iter().enumerate();
+                let firsts = firsts.map(|(i, s)| (i as u16, s));
+                let rest = more[index].0.iter().map(|(i, s)| (*i, s));
+                for (i, shaded) in firsts.chain(rest) {
+                    let i = u32::from(i);
+                    let (x, y) = (tile.x + i % tile.width, tile.y + i / tile.width);
+                    let lost = band.add(x, y, shaded.radiance, Some(&shaded.features));
+                    dropped += u64::from(lost);
+                }
+            }
+            dropped
+        })
+        .sum();
+    film.add_dropped(dropped);
     let mut counts = Counts::default();
-    for (tile, ((middles, a), (more, b))) in eyes.tiles.iter().zip(middles.iter().zip(&more)) {
-        let place = |i: u32| (tile.x + i % tile.width, tile.y + i / tile.width);
-        let firsts = middles.iter().enumerate().map(|(i, s)| (i as u16, s));
-        for (i, shaded) in firsts.chain(more.iter().map(|(i, s)| (*i, s))) {
-            let (x, y) = place(i.into());
-            film.add(x, y, shaded.radiance, Some(&shaded.features));
-        }
-        counts.primary += a.primary + b.primary;
-        counts.shadow += a.shadow + b.shadow;
+    let all = middles.iter().map(|(_, counts)| counts);
+    for part in all.chain(more.iter().map(|(_, counts)| counts)) {
+        counts.primary += part.primary;
+        counts.shadow += part.shadow;
     }
     counts
 }
 
-/// Whether an edge runs between two pixels.
-fn differ(a: &Shaded, b: &Shaded) -> bool {
+/// Samples more, of `most`, for an edge between two pixels: all of them where surfaces end, half of them where their light changes.
+fn edge(a: &Shaded, b: &Shaded, most: u32) -> u32 {
     let (fa, fb) = (&a.features, &b.features);
     if (fa.depth == 0.0) != (fb.depth == 0.0) {
-        return true;
+        return most;
     }
     if fa.depth == 0.0 {
-        return false;
+        return 0;
     }
     let step = (fa.depth - fb.depth).abs() > 0.03 * fa.depth.min(fb.depth);
     let turned = fa.normal.dot(fb.normal) < 0.8;
@@ -434,5 +447,11 @@ fn differ(a: &Shaded, b: &Shaded) -> bool {
         let l = v.element_sum() * (1.0 / 3.0);
         (l / (1.0 + l)).max(0.0).sqrt()
     };
-    step || turned || (tone(a.radiance) - tone(b.radiance)).abs() > 0.08
+    if step || turned {
+        most
+    } else if (tone(a.radiance) - tone(b.radiance)).abs() > 0.08 {
+        most.div_ceil(2)
+    } else {
+        0
+    }
 }
