@@ -433,12 +433,14 @@ fn matt(batch: &mut Batch, sky: &Sky, anchors: &Anchors) {
                 sums[2][k] += whole * colour[2];
             }
         }
-        for colour in 0..3 {
-            let (albedo, mut light) = (lanes(&batch.cosine[colour], start), [0.0; WIDE]);
+        for ((sum, albedo), radiance) in
+            sums.iter().zip(&batch.cosine).zip(&mut batch.radiance)
+        {
+            let (albedo, mut light) = (lanes(albedo, start), [0.0; WIDE]);
             for k in 0..WIDE {
-                light[k] = sums[colour][k] * albedo[k] * std::f32::consts::FRAC_1_PI;
+                light[k] = sum[k] * albedo[k] * std::f32::consts::FRAC_1_PI;
             }
-            batch.radiance[colour][start..start + WIDE].copy_from_slice(&light);
+            radiance[start..start + WIDE].copy_from_slice(&light);
         }
     }
 }
@@ -518,11 +520,14 @@ fn plan(
         }
         let other = sky.sharpness[lobe];
         let (mut least, mut most) = (f32::INFINITY, 0.0_f32);
-        let value = &layer.value[lobe];
-        for item in 0..len {
-            if value[item] * bright * layer.weight[item] > NEGLIGIBLE {
-                least = least.min(layer.sharpness[item]);
-                most = most.max(layer.sharpness[item]);
+        let items = layer.value[lobe]
+            .iter()
+            .zip(&layer.weight)
+            .zip(&layer.sharpness);
+        for ((value, weight), &sharpness) in items.take(len) {
+            if value * bright * weight > NEGLIGIBLE {
+                least = least.min(sharpness);
+                most = most.max(sharpness);
             }
         }
         if least > most {

@@ -22,6 +22,7 @@ mod gloss;
 mod lamps;
 mod math;
 mod points;
+mod rest;
 mod shade;
 mod sky;
 mod start;
@@ -43,6 +44,7 @@ use occlude_visibility::VisibilityStats;
 use occlude_visibility::field::{MapSampling, Metric};
 use points::{Changes, Points, Reach, Round};
 use rayon::prelude::*;
+use rest::Rest;
 use shade::{Counts, Scratch, Shaded, Shading, Spot};
 use sky::Sky;
 use std::time::Instant;
@@ -153,6 +155,8 @@ pub(super) struct Fields {
     points: Option<Points>,
     sky: Sky,
     lobes: Option<SkyLobes>,
+    /// Of the sky that the last frame was under.
+    rest: Option<Rest>,
 }
 
 /// Initial points for so many covered pixels.
@@ -165,6 +169,7 @@ impl Fields {
     /// The sky's lobes, from now on.
     pub(super) fn set_sky(&mut self, lobes: SkyLobes) {
         self.sky = Sky::new(&lobes);
+        self.rest = None;
         self.lobes = Some(lobes);
     }
 
@@ -258,7 +263,12 @@ impl Fields {
         points.transform(field.packed);
         clock.add_to(&mut report.transform);
         job.advance(1, 0);
-        points.look_at(&self.sky);
+        if self.rest.is_none() && self.sky.len() > 0 {
+            let lobes = self.lobes.as_ref();
+            self.rest = (world.lights.sky().zip(lobes)).map(|(sky, lobes)| Rest::new(sky, lobes));
+        }
+        let rest = self.rest.as_ref();
+        points.look_at(&self.sky, rest);
         if let Some(bounce) = bounce {
             rays.secondary += bounce.rays;
             let traced = points.gather(geometry, bounce);
@@ -304,7 +314,7 @@ impl Fields {
             exact: some_light(&exact),
             seed: settings.seed,
             contact,
-            near: bounce.is_some() || contact > 0.0,
+            near: rest.is_some() || bounce.is_some() || contact > 0.0,
         };
         let counts = shade(&shading, &eyes, settings, film);
         clock.add_to(&mut report.integration);

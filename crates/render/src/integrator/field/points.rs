@@ -11,6 +11,7 @@
 use super::super::instant_radiosity::Prepared;
 use super::eyes::{Eye, Eyes};
 use super::lamps::{Distances, Lamps, Window};
+use super::rest::Rest;
 use super::{Field, sky::Sky};
 use crate::camera::View;
 use crate::geometry::{Geometry, Place, Spot};
@@ -75,11 +76,13 @@ pub(super) struct Point {
     transformed: bool,
 }
 
-/// What fields of the sky do not know, interpolated between points like what is seen of it.
+/// What lobes do not know, interpolated between points like what is seen of it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Near {
     /// Irradiance after one bounce, W/m^2.
     pub(super) bounced: Vec3,
+    /// Irradiance by what the sky has beside its lobes, see [`Rest`].
+    pub(super) rest: Vec3,
     /// Share of the cosine-weighted directions that something close by blocks.
     pub(super) blocked: f32,
 }
@@ -88,6 +91,7 @@ impl Near {
     /// `self` plus `weight` times another.
     pub(super) fn add(&mut self, other: &Self, weight: f32) {
         self.bounced += other.bounced * weight;
+        self.rest += other.rest * weight;
         self.blocked += other.blocked * weight;
     }
 }
@@ -312,7 +316,7 @@ impl Points {
     }
 
     /// What of the sky arrives at every needed point.
-    pub(super) fn look_at(&mut self, sky: &Sky) {
+    pub(super) fn look_at(&mut self, sky: &Sky, rest: Option<&Rest>) {
         self.list
             .par_iter_mut()
             .filter(|point| point.needed)
@@ -322,9 +326,12 @@ impl Points {
                     map,
                     field,
                     seen,
+                    near,
                     ..
                 } = point;
-                sky.seen_from(hemisphere, map, |w| field.at(hemisphere, w), seen);
+                let blocks = map.blocks();
+                sky.seen_from(hemisphere, &blocks, |w| field.at(hemisphere, w), seen);
+                near.rest = rest.map_or(Vec3::ZERO, |rest| rest.irradiance(hemisphere, &blocks));
             });
     }
 

@@ -271,6 +271,12 @@ impl Shading<'_, '_> {
                 out[usize::from(pixel)].radiance += batch.radiance(item);
             }
         }
+        for shaded in &mut *out {
+            // What the sky has less than its lobes may be more than they bring.
+            if shaded.radiance.min_element() < 0.0 {
+                shaded.radiance = shaded.radiance.max(Vec3::ZERO);
+            }
+        }
         let geometry = self.world.geometry;
         scratch.blocked.clear();
         scratch.blocked.resize(scratch.rays.len(), false);
@@ -411,7 +417,7 @@ impl Shading<'_, '_> {
                     sum
                 }
             };
-            radiance += cosine * near.bounced * FRAC_1_PI;
+            radiance += cosine * (near.bounced + near.rest) * FRAC_1_PI;
             if self.contact > 0.0 {
                 cosine *= self.in_contact(pixel, surface, &near, scratch);
             }

@@ -3,7 +3,7 @@
 use super::math::{asin, exp, wide};
 use crate::light::{SkyLobes, SkySun};
 use glam::Vec3;
-use occlude_visibility::field::{Hemisphere, SphericalGaussian, VisibilityMap, VisibleShare};
+use occlude_visibility::field::{Hemisphere, MapBlock, SphericalGaussian, VisibleShare};
 
 /// Lobes that are worked on together.
 pub(super) const WIDE: usize = 8;
@@ -101,14 +101,14 @@ impl Sky {
     pub(super) fn seen_from(
         &self,
         hemisphere: &Hemisphere,
-        map: &VisibilityMap,
+        blocks: &[MapBlock],
         distance: impl Fn(Vec3) -> f32,
         out: &mut Vec<f32>,
     ) {
         out.clear();
         out.resize(self.len(), 0.0);
         if self.broad > 0 {
-            shares(self, hemisphere, map, &mut out[..self.broad]);
+            shares(self, hemisphere, blocks, &mut out[..self.broad]);
         }
         for (k, out) in out.iter_mut().enumerate().skip(self.broad) {
             *out = distance(self.lobe(k).axis);
@@ -156,8 +156,7 @@ fn irradiance(sky: &Sky, normal: Vec3, seen: &[f32]) -> Vec3 {
 
 wide! {
 /// Shares of the lobes' irradiance on the point's surface, by quadrature over blocks of the map.
-fn shares(sky: &Sky, hemisphere: &Hemisphere, map: &VisibilityMap, out: &mut [f32]) {
-    let blocks = map.blocks();
+fn shares(sky: &Sky, hemisphere: &Hemisphere, blocks: &[MapBlock], out: &mut [f32]) {
     for (start, out) in (0..out.len()).step_by(WIDE).zip(out.chunks_exact_mut(WIDE)) {
         let lanes = |column: &Vec<f32>| -> [f32; WIDE] {
             std::array::from_fn(|k| column[start..start + WIDE][k])
@@ -240,6 +239,7 @@ fn irradiance_of(sharpness: f64, cos: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use occlude_visibility::field::VisibilityMap;
 
     #[test]
     fn irradiance_is_what_quadrature_says() {
@@ -274,10 +274,12 @@ mod tests {
         });
         let h = Hemisphere::new(Vec3::new(0.2, 1.0, 0.1).normalize(), Vec3::X);
         let mut seen = Vec::new();
-        sky.seen_from(&h, &VisibilityMap::new(128, true), |_| 0.0, &mut seen);
+        let open = VisibilityMap::new(128, true).blocks();
+        sky.seen_from(&h, &open, |_| 0.0, &mut seen);
         assert!(seen.iter().all(|share| (share - 1.0).abs() < 1e-5));
         let free = |local: Vec3| local.x > 0.2 * local.y;
-        sky.seen_from(&h, &VisibilityMap::from_fn(128, free), |_| 0.0, &mut seen);
+        let half = VisibilityMap::from_fn(128, free).blocks();
+        sky.seen_from(&h, &half, |_| 0.0, &mut seen);
         for (k, share) in seen.iter().enumerate() {
             let lobe = sky.lobe(k);
             let (mut part, mut all) = (0.0_f64, 0.0_f64);
