@@ -376,14 +376,12 @@ fn shade(shading: &Shading, eyes: &Eyes, settings: &RenderSettings, film: &mut F
         let tile = &eyes.tiles[index];
         &middles[index].0[((y - tile.y) * tile.width + x - tile.x) as usize]
     };
-    let edge_samples = |x: u32, y: u32| {
+    let is_edge = |x: u32, y: u32| {
         let here = at(x, y);
         let xs = [x.saturating_sub(1), (x + 1).min(width - 1)];
         let ys = [y.saturating_sub(1), (y + 1).min(height - 1)];
         let beside = [(xs[0], y), (xs[1], y), (x, ys[0]), (x, ys[1])];
-        let most = shading.settings.edge_samples;
-        let wanted = beside.iter().map(|&(x, y)| edge(here, at(x, y), most));
-        wanted.max().unwrap_or(0)
+        beside.iter().any(|&(x, y)| differ(here, at(x, y)))
     };
     let samples = settings.samples.clone();
     let all = samples.end.saturating_sub(samples.start).max(1) - 1;
@@ -393,7 +391,11 @@ fn shade(shading: &Shading, eyes: &Eyes, settings: &RenderSettings, film: &mut F
             let (mut pixels, mut spots) = (Vec::new(), Vec::new());
             for i in 0..tile.width * tile.height {
                 let (x, y) = (i % tile.width, i / tile.width);
-                let edge = edge_samples(tile.x + x, tile.y + y);
+                let edge = if is_edge(tile.x + x, tile.y + y) {
+                    shading.settings.edge_samples
+                } else {
+                    0
+                };
                 for number in 1..=all.max(edge) {
                     let turn = |step: f32| (step * number as f32 + 0.5).fract();
                     let uv = Vec2::new(turn(0.754_877_7), turn(0.569_840_3));
@@ -441,14 +443,14 @@ fn shade(shading: &Shading, eyes: &Eyes, settings: &RenderSettings, film: &mut F
     counts
 }
 
-/// Samples more, of `most`, for an edge between two pixels: all of them where surfaces end, half of them where their light changes.
-fn edge(a: &Shaded, b: &Shaded, most: u32) -> u32 {
+/// Whether an edge runs between two pixels.
+fn differ(a: &Shaded, b: &Shaded) -> bool {
     let (fa, fb) = (&a.features, &b.features);
     if (fa.depth == 0.0) != (fb.depth == 0.0) {
-        return most;
+        return true;
     }
     if fa.depth == 0.0 {
-        return 0;
+        return false;
     }
     let step = (fa.depth - fb.depth).abs() > 0.03 * fa.depth.min(fb.depth);
     let turned = fa.normal.dot(fb.normal) < 0.8;
@@ -457,11 +459,5 @@ fn edge(a: &Shaded, b: &Shaded, most: u32) -> u32 {
         let l = v.element_sum() * (1.0 / 3.0);
         (l / (1.0 + l)).max(0.0).sqrt()
     };
-    if step || turned {
-        most
-    } else if (tone(a.radiance) - tone(b.radiance)).abs() > 0.08 {
-        most.div_ceil(2)
-    } else {
-        0
-    }
+    step || turned || (tone(a.radiance) - tone(b.radiance)).abs() > 0.08
 }

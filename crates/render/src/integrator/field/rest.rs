@@ -1,7 +1,7 @@
 //! What the sky has beside its lobes, for matt surfaces.
 //!
 //! Lobes lose what is narrow or has edges: a bright strip above the horizon becomes a broad glow. Sample points know what they see direction by direction, so
-//! the difference of sky and lobes, averaged over cells of three degrees, is integrated over each point's map, and interpolated. With it diffuse light under shadows is that of the sky
+//! the difference of sky and lobes, averaged over cells of six degrees (no finer than the blocks of maps that it is multiplied with), is integrated over each point's map, and interpolated. With it diffuse light under shadows is that of the sky
 //! itself, up to those cells. It may be negative.
 
 use crate::light::{Environment, SkyLobes};
@@ -10,8 +10,8 @@ use occlude_visibility::field::{Hemisphere, MapBlock};
 use rayon::prelude::*;
 
 /// Cells along a side of the octahedron's square, and samples along a side of a cell.
-const SIDE: usize = 64;
-const SAMPLES: usize = 8;
+const SIDE: usize = 32;
+const SAMPLES: usize = 16;
 /// A sun's light was taken out of cells so near to it, radians.
 const SUN_REACH: f32 = 0.15;
 
@@ -71,7 +71,7 @@ impl Rest {
                     }
                     sum / weight
                 };
-                mean(SAMPLES, &|w| sky.radiance(w)) - mean(2, &|w| lobes.radiance(w))
+                mean(SAMPLES, &|w| sky.radiance(w)) - mean(SAMPLES / 4, &|w| lobes.radiance(w))
             })
             .collect();
         let solid = |index: usize| {
