@@ -188,9 +188,9 @@ fn skies_of_one_pixel_and_without_bounds() {
 fn views_show_points_and_fields() {
     let dir = Dir::new();
     dir.must("scene balls-in-dish --triangles 3000 -o b.glb");
-    dir.must(&format!(
-        "render b.glb --integrator field --size 64x48 --cache off -o a.png --field-views v --pick 32,24"
-    ));
+    dir.must(
+        "render b.glb --integrator field --size 64x48 --cache off -o a.png --field-views v --pick 32,24",
+    );
     for what in ["points", "lobes", "map", "field"] {
         assert!(
             dir.read(&format!("v-{what}.png")).starts_with(b"\x89PNG"),
