@@ -127,10 +127,10 @@ impl HalfCube {
             }
             let (from, to) = (from as usize, to as usize);
             let row = &mut self.bits[(side * self.pixels + y) * self.words..][..self.words];
-            for word in from / 64..=to / 64 {
+            for (word, bits) in row.iter_mut().enumerate().take(to / 64 + 1).skip(from / 64) {
                 let first = from.saturating_sub(word * 64);
                 let end = (to - word * 64).min(63);
-                row[word] |= (u64::MAX << first) & (u64::MAX >> (63 - end));
+                *bits |= (u64::MAX << first) & (u64::MAX >> (63 - end));
             }
         }
     }

@@ -240,12 +240,10 @@ pub fn memory(setting: &Setting, report: &mut Report) {
             let reference = reference.get_or_insert_with(|| first.picture.clone());
             let error = relmse(&first.picture, reference).unwrap_or(f64::NAN);
             let (flip, _) = errors(&first.picture, reference);
-            let bar = (name.ends_with("packed")).then(|| {
-                (
-                    "<= 8192 B at relMSE <= 1e-3",
-                    bytes <= 8192.0 && error <= 1e-3,
-                )
-            });
+            let bar = (name.ends_with("packed")).then_some((
+                "<= 8192 B at relMSE <= 1e-3",
+                bytes <= 8192.0 && error <= 1e-3,
+            ));
             report.table(
                 title,
                 &header,
