@@ -62,8 +62,9 @@ pub(super) struct Seen {
     radiance: Vec3,
     /// Its share in the irradiance of all, were nothing in the way; not normalised.
     weight: f32,
-    /// What is visible of it.
+    /// What is visible of it, and what is above the horizon.
     free: f32,
+    above: f32,
 }
 
 impl Lamp {
@@ -170,7 +171,8 @@ impl Lamps {
                 sharpness: TAU / solid.max(1e-6),
                 radiance: lamp.radiance,
                 weight: projected / square * (cos.max(0.0) + 0.05 * ratio.sqrt()),
-                free: free_share(*distance) * above,
+                free: free_share(*distance),
+                above,
             });
         }
     }
@@ -205,7 +207,7 @@ impl Seen {
         let twice = 2.0 * own * sharpness * (1.0 - cos);
         let length = (sum * sum - twice).max(1e-12).sqrt();
         let whole = TAU * (1.0 - exp(-2.0 * length)) / length;
-        self.radiance * (exp(-twice / (length + sum)) * whole * self.free)
+        self.radiance * (exp(-twice / (length + sum)) * whole * self.free * self.above)
     }
 }
 
