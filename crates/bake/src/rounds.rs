@@ -412,6 +412,19 @@ impl<'a> Bake<'a> {
         }
     }
 
+    /// Texels of which less than this share is covered have had too few lines; 0 for paths, of which all texels have the same number.
+    pub fn least_coverage(&self, state: &State) -> f32 {
+        /// Lines along the normal; half as many in all.
+        const ENOUGH: f32 = 32.0;
+        match self.rounds.last().map(|round| round.kind) {
+            Some(RoundKind::Sky | RoundKind::Reflected) => {
+                let done = state.done.iter().copied().min().unwrap_or(0).max(1);
+                (ENOUGH / done as f32).min(0.25)
+            }
+            _ => 0.0,
+        }
+    }
+
     /// First moment of the light at a texel when the last round is done: luminance times cosine times the unit vector to where it comes
     /// from, over all directions. 0 unless [`Settings::directional`].
     pub fn moment(&self, state: &State, texel: u32) -> Vec3 {

@@ -9,6 +9,7 @@
 //! few nanoseconds a term; locked additions to single words would cost four times as much.
 
 use glam::Vec3;
+use occlude_bvh::Buffer;
 use std::io::{Read, Write};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -40,7 +41,10 @@ pub type Sum = [i64; 4];
 /// Sums over the sides of all texels.
 #[derive(Debug)]
 pub struct Sums {
-    runs: Vec<Mutex<Vec<Sum>>>,
+    /// Each for one run of `sums`.
+    locks: Vec<Mutex<()>>,
+    /// On huge pages: terms come to them at random.
+    sums: Buffer<Sum>,
     shift: u32,
     len: u32,
     unit: Unit,
@@ -62,7 +66,8 @@ pub enum SumsError {
 
 /// A locked run of neighbouring sides.
 pub struct Run<'a> {
-    sums: MutexGuard<'a, Vec<Sum>>,
+    sums: &'a mut [Sum],
+    _lock: MutexGuard<'a, ()>,
     first: u32,
     unit: Unit,
 }
@@ -86,7 +91,7 @@ impl Run<'_> {
 
     /// The sums of the run; number 0 is side [`Run::first`].
     pub fn sums(&mut self) -> &mut [Sum] {
-        &mut self.sums
+        self.sums
     }
 
     /// The first side of the run.
@@ -108,14 +113,9 @@ impl Sums {
     pub fn new(sides: u32, unit: Unit) -> Self {
         let shift = (sides.div_ceil(RUNS).max(64)).next_power_of_two().ilog2();
         let count = sides.div_ceil(1 << shift);
-        let runs = (0..count)
-            .map(|run| {
-                let len = (sides - (run << shift)).min(1 << shift);
-                Mutex::new(vec![[0; 4]; len as usize])
-            })
-            .collect();
         Self {
-            runs,
+            locks: (0..count).map(|_| Mutex::new(())).collect(),
+            sums: Buffer::zeroed(sides as usize),
             shift,
             len: sides,
             unit,
@@ -151,7 +151,7 @@ impl Sums {
 
     /// Number of runs, each with a lock of its own.
     pub fn runs(&self) -> usize {
-        self.runs.len()
+        self.locks.len()
     }
 
     /// The run of a side.
@@ -162,10 +162,17 @@ impl Sums {
 
     /// Locks a run.
     pub fn lock(&self, run: usize) -> Run<'_> {
+        let lock = self.locks[run]
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        let first = run << self.shift;
+        let count = (self.sums.len() - first).min(1 << self.shift);
+        // SAFETY: the run lies within the sums. Whoever shares them (`&self`) touches a run only while it holds the run's lock, which lives as
+        // long as the slice.
+        let sums = unsafe { std::slice::from_raw_parts_mut(self.sums.as_ptr().add(first), count) };
         Run {
-            sums: self.runs[run]
-                .lock()
-                .unwrap_or_else(PoisonError::into_inner),
+            sums,
+            _lock: lock,
             first: (run as u32) << self.shift,
             unit: self.unit,
         }
@@ -188,9 +195,10 @@ impl Sums {
         if let (Some(mine), Some(other)) = (&mut self.moments, &other.moments) {
             mine.merge(other)?;
         }
-        for (run, mine) in self.runs.iter_mut().enumerate() {
-            let mine = mine.get_mut().unwrap_or_else(PoisonError::into_inner);
-            for (sum, term) in mine.iter_mut().zip(other.lock(run).sums()) {
+        for run in 0..other.runs() {
+            let mut theirs = other.lock(run);
+            let first = theirs.first() as usize;
+            for (sum, term) in self.sums[first..].iter_mut().zip(theirs.sums()) {
                 for (sum, term) in sum.iter_mut().zip(term) {
                     *sum = sum.wrapping_add(*term);
                 }
@@ -201,11 +209,7 @@ impl Sums {
 
     /// Forgets all terms.
     pub fn clear(&mut self) {
-        for run in &mut self.runs {
-            run.get_mut()
-                .unwrap_or_else(PoisonError::into_inner)
-                .fill([0; 4]);
-        }
+        self.sums.fill([0; 4]);
         if let Some(moments) = &mut self.moments {
             moments.clear();
         }
@@ -238,7 +242,7 @@ impl Sums {
         out.write_all(&self.unit.radiance.to_le_bytes())?;
         out.write_all(&self.unit.weight.to_le_bytes())?;
         let mut bytes = Vec::new();
-        for run in 0..self.runs.len() {
+        for run in 0..self.locks.len() {
             bytes.clear();
             let mut run = self.lock(run);
             bytes.extend(run.sums().iter().flatten().flat_map(|n| n.to_le_bytes()));
@@ -262,9 +266,8 @@ impl Sums {
         if len != self.len || (Unit { radiance, weight }) != self.unit {
             return Err(SumsError::Other);
         }
-        for run in &mut self.runs {
-            let run = run.get_mut().unwrap_or_else(PoisonError::into_inner);
-            let mut bytes = vec![0; size_of_val(run.as_slice())];
+        for run in self.sums.chunks_mut(1 << self.shift) {
+            let mut bytes = vec![0; size_of_val(run)];
             source.read_exact(&mut bytes)?;
             for (sum, bytes) in run.iter_mut().flatten().zip(bytes.chunks_exact(8)) {
                 word.copy_from_slice(bytes);

@@ -1,7 +1,8 @@
 //! Large arrays of plain data on huge pages.
 //!
 //! A ray touches a few nodes far apart. On pages of 4 KiB each touch also misses the translation buffers, so that the trees,
-//! and what the builder streams through, live on 2 MiB pages where the system gives them.
+//! and what the builder streams through, live on 2 MiB pages where the system gives them. So does whatever else is read or written at
+//! random.
 
 use bytemuck::Zeroable;
 use std::ops::{Deref, DerefMut};
@@ -10,7 +11,7 @@ use std::ptr::NonNull;
 const HUGE_PAGE: usize = 2 << 20;
 
 /// A fixed number of elements, zero at first.
-pub(crate) struct Buffer<T> {
+pub struct Buffer<T> {
     start: NonNull<T>,
     len: usize,
     owner: Owner<T>,
@@ -78,10 +79,18 @@ impl<T: Zeroable + Copy> Buffer<T> {
         })
     }
 
+    /// A copy.
     pub fn from_slice(slice: &[T]) -> Self {
         let mut buffer = Self::zeroed(slice.len());
         buffer.copy_from_slice(slice);
         buffer
+    }
+}
+
+impl<T> Buffer<T> {
+    /// The first element, for those who share the elements among threads by rules of their own.
+    pub fn as_ptr(&self) -> *mut T {
+        self.start.as_ptr()
     }
 }
 

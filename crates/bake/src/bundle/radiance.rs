@@ -6,6 +6,7 @@
 //! 0.2 % of the largest channel, and independent from side to side.
 
 use glam::Vec3;
+use occlude_bvh::Buffer;
 use rayon::prelude::*;
 
 /// Mantissas of 9 bits.
@@ -14,7 +15,8 @@ pub(super) const MANTISSA_BITS: u32 = 9;
 /// The radiance of all sides.
 #[derive(Clone, Debug)]
 pub struct Radiance {
-    packed: Vec<u32>,
+    /// On huge pages: they are read at random.
+    packed: Buffer<u32>,
     scale: Scale,
 }
 
@@ -85,11 +87,12 @@ impl Radiance {
     /// are no number count as 0.
     pub fn new(sides: u32, brightest: f32, radiance: impl Fn(u32) -> Vec3 + Sync) -> Self {
         let scale = Scale::new(brightest);
-        let packed = (0..sides)
-            .into_par_iter()
+        let mut packed = Buffer::zeroed(sides as usize);
+        packed
+            .par_iter_mut()
             .with_min_len(4096)
-            .map(|side| scale.pack(radiance(side), hash(side)))
-            .collect();
+            .zip(0..sides)
+            .for_each(|(packed, side)| *packed = scale.pack(radiance(side), hash(side)));
         Self { packed, scale }
     }
 

@@ -104,6 +104,11 @@ pub trait Light: Sync {
         true
     }
 
+    /// Texels of which less than this share is covered are known badly, if their neighbours have more.
+    fn least_coverage(&self) -> f32 {
+        0.0
+    }
+
     /// First moment of the light ([`Bake::moment`](crate::rounds::Bake::moment)); for [`ExportSettings::directional`].
     fn moment(&self, _texel: u32) -> [f32; 3] {
         [0.0; 3]
@@ -195,6 +200,10 @@ pub fn write(
                 if !light.is_known(texel) {
                     canvas.validity[i] = 0.0;
                 }
+            }
+            let least = light.least_coverage();
+            if least > 0.0 {
+                canvas.distrust_rims(texels, page, least);
             }
             exported.filled += canvas.fill_invalid();
             exported.adopted += adopt(texels, page, &mut canvas);

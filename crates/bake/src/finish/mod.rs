@@ -74,6 +74,38 @@ impl Canvas {
         canvas
     }
 
+    /// Marks texels as invalid of which less than `least` is covered, if a neighbour of the same chart has four times as much: what few lines
+    /// have met is worth less than what their neighbours know.
+    pub fn distrust_rims(&mut self, texels: &Texels, page: u32, least: f32) {
+        let size = texels.atlas.pages[page as usize];
+        let mut coverage = vec![0.0_f32; self.charts.len()];
+        coverage
+            .par_chunks_mut((size.width * ROWS) as usize)
+            .enumerate()
+            .for_each(|(k, rows)| {
+                let top = k as u32 * ROWS;
+                let band = texels.band(page, top..(top + ROWS).min(size.height));
+                for i in 0..band.len() {
+                    let area = band.fragments(i).iter().map(|f| f.area).sum();
+                    rows[(band.texel(i) - size.texel(0, top)) as usize] = area;
+                }
+            });
+        let poor: Vec<usize> = (0..self.charts.len())
+            .into_par_iter()
+            .filter(|&i| self.charts[i] != 0 && coverage[i] < least)
+            .filter(|&i| {
+                self.neighbours(i).any(|n| {
+                    self.charts[n] == self.charts[i]
+                        && self.validity[n] >= LEAST_VALIDITY
+                        && coverage[n] >= (4.0 * coverage[i]).max(least)
+                })
+            })
+            .collect();
+        for i in poor {
+            self.validity[i] = 0.0;
+        }
+    }
+
     /// Indices of the up to eight neighbours of a texel.
     fn neighbours(&self, i: usize) -> impl Iterator<Item = usize> + use<> {
         let (w, h) = (self.width as i64, self.height as i64);

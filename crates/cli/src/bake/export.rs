@@ -34,6 +34,10 @@ impl Light for Gathered<'_> {
         light.unwrap_or(Vec3::ZERO).to_array()
     }
 
+    fn least_coverage(&self) -> f32 {
+        self.bake.least_coverage(self.state)
+    }
+
     fn moment(&self, texel: u32) -> [f32; 3] {
         self.bake.moment(self.state, texel).to_array()
     }
