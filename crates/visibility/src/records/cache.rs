@@ -187,13 +187,13 @@ impl Cache {
 
     /// Records farther than this from a place do not answer for it.
     fn reach(&self) -> f32 {
-        8.0 * self.spacing
+        3.0 * self.spacing
     }
 
     /// How near to a place records have nothing to say, if they stand `parallax` away from it. What stands right in front of a place
-    /// hides it from what is near, however close to the place the records have moved: hence at least a quarter of their spacing.
+    /// hides it from what is near, however close to the place the records have moved: hence at least their spacing.
     pub(super) fn contact_reach(&self, parallax: f32) -> f32 {
-        self.settings.contact * parallax.max(0.25 * self.spacing)
+        self.settings.contact * parallax.max(self.spacing)
     }
 
     pub(super) fn follow(&self, finder: &mut Finder) {

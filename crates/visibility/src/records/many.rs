@@ -6,7 +6,7 @@ use super::cache::{Cache, WHOLE_USE};
 use super::map::{Map, Stand};
 use super::neighbours::{Choice, NOBODY};
 use super::paraboloid::{Scale, UNKNOWN};
-use super::rays::{MOST_SLANT, RecordsReader, SegmentEnd, sees};
+use super::rays::{RecordsReader, SegmentEnd, least_distance};
 use super::settings::{Lookup, RecordGuarantee, Select};
 use crate::{
     BLOCK, Correction, EyeSample, LightEnd, ManyLights, Ray, SharedLight, Tracer, VisibilityStats,
@@ -66,7 +66,8 @@ fn judge(record: &Eye3, pack: &Pack) -> (u32, u32) {
     let mut y = [0.0; WIDE];
     let mut z = [0.0; WIDE];
     let mut length = [0.0; WIDE];
-    let mut slope = [0.0; WIDE];
+    let mut normal = [[0.0; 3]; WIDE];
+    let mut least = [0.0; WIDE];
     let mut at = [0u32; WIDE];
     for k in 0..WIDE {
         let dx = pack.position[0][k] - record.origin.x;
@@ -77,8 +78,8 @@ fn judge(record: &Eye3, pack: &Pack) -> (u32, u32) {
         y[k] = along(record.frame[1]);
         z[k] = along(record.frame[2]);
         length[k] = (x[k] * x[k] + y[k] * y[k] + z[k] * z[k]).sqrt();
-        let facing = pack.normal[0][k] * dx + pack.normal[1][k] * dy + pack.normal[2][k] * dz;
-        slope[k] = facing.abs().max(length[k] * (1.0 / MOST_SLANT));
+        let [nx, ny, nz] = [pack.normal[0][k], pack.normal[1][k], pack.normal[2][k]];
+        normal[k] = (record.frame).map(|axis| axis.x * nx + axis.y * ny + axis.z * nz);
     }
     for k in 0..WIDE {
         let scale = record.half / (length[k] + z[k]);
@@ -87,6 +88,14 @@ fn judge(record: &Eye3, pack: &Pack) -> (u32, u32) {
         let column = clamp(x[k] * scale + record.half) as u32;
         let row = clamp(y[k] * scale + record.half) as u32;
         at[k] = row * record.columns + column;
+        let middle = [column, row].map(|i| (i as f32 + 0.5) * record.width - 1.0);
+        least[k] = least_distance(
+            [x[k], y[k], z[k]],
+            length[k],
+            normal[k],
+            middle,
+            record.width,
+        );
     }
     let mut code = [0u16; WIDE];
     for k in 0..WIDE {
@@ -95,8 +104,7 @@ fn judge(record: &Eye3, pack: &Pack) -> (u32, u32) {
     let (mut valid, mut seen) = (0, 0);
     for k in 0..WIDE {
         let known = z[k] > 0.0 && code[k] != UNKNOWN;
-        let distance = record.scale.decode(code[k]);
-        let sees = sees(length[k], z[k], slope[k], distance, record.width);
+        let sees = record.scale.decode(code[k]) >= least[k];
         valid |= u32::from(known) << k;
         seen |= u32::from(known && sees) << k;
     }

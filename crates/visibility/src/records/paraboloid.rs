@@ -135,6 +135,13 @@ impl Layout {
         row * self.resolution + column
     }
 
+    /// The middle of a texel in the disk.
+    #[inline(always)]
+    pub(super) fn middle(&self, texel: u32) -> [f32; 2] {
+        let at = |i: u32| (i as f32 + 0.5) * self.width() - 1.0;
+        [at(texel % self.resolution), at(texel / self.resolution)]
+    }
+
     /// Width of a texel in the disk.
     #[inline(always)]
     pub(super) fn width(&self) -> f32 {

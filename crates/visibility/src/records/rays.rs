@@ -21,7 +21,10 @@ const BISECTIONS: usize = 5;
 const HALF_DIAGONAL: f32 = 0.75;
 
 /// Tolerances grow with the slant of what is seen, up to this.
-pub(super) const MOST_SLANT: f32 = 6.0;
+const MOST_SLANT: f32 = 6.0;
+
+/// How uneven a surface may be within a texel, in footprints: against shadows of surfaces on themselves.
+const UNEVEN: f32 = 0.1;
 
 /// A surface that a record sees.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -335,12 +338,18 @@ impl Cache {
         if z <= 0.0 || code == UNKNOWN || near {
             return None;
         }
-        let length = offset.length();
-        let slope = normal.map_or(length, |normal| {
-            normal.dot(offset).abs().max(length / MOST_SLANT)
-        });
-        let distance = self.layout.scale.decode(code);
-        Some(sees(length, z, slope, distance, self.layout.width()))
+        let (length, width) = (offset.length(), self.layout.width());
+        let least = match normal {
+            Some(normal) => least_distance(
+                stand.local(offset).to_array(),
+                length,
+                stand.local(normal).to_array(),
+                self.layout.middle(segment.aim.texel),
+                width,
+            ),
+            None => length - HALF_DIAGONAL * width * (length + z),
+        };
+        Some(self.layout.scale.decode(code) >= least)
     }
 
     /// Whether nothing that the record sees lies in front of points of a segment.
@@ -363,13 +372,8 @@ impl Cache {
                 return None;
             }
             // The slant of what lies there is not known.
-            if !sees(
-                length,
-                p.z,
-                0.5 * length,
-                self.layout.scale.decode(code),
-                width,
-            ) {
+            let least = length - 2.0 * HALF_DIAGONAL * width * (length + p.z);
+            if self.layout.scale.decode(code) < least {
                 return Some(false);
             }
         }
@@ -377,12 +381,30 @@ impl Cache {
     }
 }
 
-/// Whether a point at distance `length` from a record, at height `z` above its plane, is seen by a texel with `distance`: with a tolerance
-/// of half the texel's footprint, on a surface at whose slant `slope` is `length` times the cosine.
+/// The distance that a texel must hold at least for its record to see a point `p` on a surface, all in the record's frame: that of the
+/// surface's plane along the direction of the texel's middle (a place in the disk), since there the map was traced. A tolerance of
+/// half a footprint instead, over the cosine, lets light through whatever lies that near in front of a slanted surface.
+///
+/// Where the surface is not as flat as its plane: never more than the point's own distance `length`, and no less than that tolerance says.
 #[inline(always)]
-pub(super) fn sees(length: f32, z: f32, slope: f32, distance: f32, width: f32) -> bool {
-    let footprint = width * (length + z);
-    (length - distance) * slope <= HALF_DIAGONAL * footprint * length
+pub(super) fn least_distance(
+    p: [f32; 3],
+    length: f32,
+    normal: [f32; 3],
+    middle: [f32; 2],
+    width: f32,
+) -> f32 {
+    let [s, t] = middle;
+    let r2 = s * s + t * t;
+    let here = normal[0] * p[0] + normal[1] * p[1] + normal[2] * p[2];
+    let there = (2.0 * (normal[0] * s + normal[1] * t) + normal[2] * (1.0 - r2)) / (1.0 + r2);
+    let plane = here / there;
+    // Behind the record, or nowhere.
+    let plane = if plane > 0.0 { plane } else { length };
+    let footprint = width * (length + p[2]);
+    let slope = here.abs().max(length * (1.0 / MOST_SLANT));
+    let most = HALF_DIAGONAL * footprint * length / slope;
+    plane.min(length).max(length - most) - UNEVEN * footprint
 }
 
 /// One of three records, among those that are valid.

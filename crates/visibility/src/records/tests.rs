@@ -190,8 +190,9 @@ fn segments_agree_with_rays_up_to_footprints() {
             None => unknown += 1,
         }
     }
-    assert!(count > 5000.0 && error / count < 0.08, "{}", error / count);
-    assert!((unknown as f32) < 0.02 * count, "{unknown}");
+    assert!(count > 5000.0 && error / count < 0.065, "{}", error / count);
+    // What is nearer than four spacings is left to rays.
+    assert!((unknown as f32) < 0.09 * count, "{unknown}");
 }
 
 #[test]
