@@ -4,7 +4,7 @@ use super::args::{UnwrapName, WorkArgs};
 use crate::cache::{self, Cache};
 use crate::context::Context;
 use crate::error::CliError;
-use occlude_bake::atlas::{self, Atlas, AtlasSettings, Built, UnwrapKind, density};
+use occlude_bake::atlas::{self, Atlas, AtlasError, AtlasSettings, Built, UnwrapKind, density};
 use occlude_bake::rounds::GatherKind;
 use occlude_bake::sky;
 use occlude_image::Picture;
@@ -122,11 +122,13 @@ pub fn atlas(
     };
     let built =
         atlas::build(scene, pose, &densities, &settings, &context.job).map_err(|error| {
-            CliError::input(
-                error,
-                work.scene.display(),
-                "lower --texels-per-metre or raise --pages-max",
-            )
+            let help = match error {
+                AtlasError::Nothing => {
+                    "skinned and morphed meshes, unlit and invisible ones, and those with texelsPerMetre 0 are not baked: give it something else"
+                }
+                _ => "lower --texels-per-metre or raise --pages-max",
+            };
+            CliError::input(error, work.scene.display(), help)
         })?;
     for problem in &built.problems {
         context.warn(format_args!("{}: {}", problem.mesh, problem.what));
