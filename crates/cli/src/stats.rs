@@ -179,7 +179,7 @@ pub struct Bake {
     pub directions: u32,
     /// Pages.
     pub pages: usize,
-    /// `samples`, `time`, `noise` or `cancel`.
+    /// `samples`, `time`, `noise` or `cancel`; `unchanged` if there was nothing to do.
     pub stopped_by: &'static str,
     /// Estimated mean relative standard error of the last round.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -248,6 +248,21 @@ pub struct BundleSeconds {
 }
 
 impl Bake {
+    /// Of a run that found its work done.
+    pub fn unchanged(atlas: &Atlas) -> Self {
+        Self {
+            texels: u64::from(atlas.texels()),
+            directions: 0,
+            pages: atlas.pages.len(),
+            stopped_by: "unchanged",
+            noise: None,
+            rays: Rays::default(),
+            bundles: Bundles::default(),
+            seconds_per_direction: 0.0,
+            rounds: Vec::new(),
+        }
+    }
+
     /// Of a run that has ended by `stopped_by`.
     pub fn new(atlas: &Atlas, report: &Report, state: &State, stopped_by: &'static str) -> Self {
         let b = &report.bundles;

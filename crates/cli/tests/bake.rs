@@ -224,8 +224,11 @@ fn what_has_not_changed_is_not_baked_again() {
         data.modified().unwrap()
     };
     let before = written(&dir);
-    dir.must(base);
+    dir.must(&format!("{base} --stats s.json"));
     assert_eq!(before, written(&dir));
+    let stats = dir.json("s.json");
+    assert_eq!(stats["stopped_by"], "unchanged");
+    assert!(stats["texels"].as_u64().unwrap() > 0 && stats["pages"] == 1);
     dir.must(&format!("{base} --engine godot"));
     assert!(before != written(&dir) && first != maps(&dir, "out"));
 }

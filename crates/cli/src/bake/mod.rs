@@ -288,6 +288,7 @@ fn gather(
             "{}: nothing has changed since it was baked",
             args.output.display()
         ));
+        context.stats.bake = Some(stats::Bake::unchanged(&setup.built.atlas));
         return Ok(());
     }
     let state = if parts.is_empty() {
