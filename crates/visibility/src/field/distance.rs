@@ -251,7 +251,7 @@ mod tests {
             let eight = field.at_eight(&h, &columns);
             for (w, got) in w.iter().zip(eight) {
                 let one = field.at(&h, *w);
-                assert!((one - got).abs() < 4e-4, "{w}: {one} {got}");
+                assert!((one - got).abs() < 2e-4, "{w}: {one} {got}");
             }
         }
     }
