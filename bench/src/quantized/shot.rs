@@ -12,7 +12,7 @@ use occlude_render::job::Job;
 use occlude_render::light::Lights;
 use occlude_render::sampling::SamplerKind;
 use occlude_visibility::quantized::{
-    BoundingSphere, ErrorReach, Guarantee, Pairing, Quantized, QuantizedSettings, Share,
+    Asks, BoundingSphere, ErrorReach, Guarantee, Quantized, QuantizedSettings, Workload,
 };
 use occlude_visibility::{Exact, Visibility};
 use std::time::{Duration, Instant};
@@ -159,56 +159,20 @@ impl<'a> Stage<'a> {
         guarantee: Guarantee,
         change: impl FnOnce(&mut QuantizedSettings),
     ) -> Quantized {
-        let many = matches!(task.integrator, Integrator::InstantRadiosity(_));
-        // As `occlude render` chooses: tiles remember enough for themselves where all pixels ask about the same lights.
-        let (share, table_bytes) = if many && guarantee != Guarantee::Consistent {
-            (Share::Tile, 4 << 20)
-        } else if many {
-            (Share::All, 256 << 20)
-        } else {
-            let words = task.size[0] as usize * task.size[1] as usize * task.samples as usize;
-            let bytes = words.next_power_of_two() * 4;
-            (Share::All, bytes.clamp(4 << 20, 256 << 20))
-        };
-        let single = !many && !matches!(task.integrator, Integrator::Bidirectional(_));
-        // Where checks mend errors on average, larger patches cost less than they err.
-        let error = if single && guarantee == Guarantee::Unbiased {
-            ErrorReach {
-                point: 14.0,
-                direction: 14.0,
-                ..ErrorReach::all(40.0)
-            }
-        } else {
-            let usual = ErrorReach::default();
-            let together = task.samples.min(16) as f32;
-            let point = (usual.point * together.sqrt()).min(usual.area);
-            ErrorReach {
-                point: if many && self.points >= 16 {
-                    point
-                } else {
-                    usual.point
-                },
-                ..usual
-            }
-        };
-        let pairs = matches!(task.integrator, Integrator::Bidirectional(_));
-        let usual = QuantizedSettings::default();
-        let mut settings = QuantizedSettings {
-            error,
-            guarantee,
-            share,
-            table_bytes,
-            samples_per_pixel: task.samples,
-            seed: task.seed,
-            normals: if pairs { 2 } else { usual.normals },
-            slab: if pairs { 2.0 } else { usual.slab },
-            resolution_step: if pairs { 2.0 } else { usual.resolution_step },
-            pairing: match task.integrator {
-                Integrator::Bidirectional(_) => Pairing::Both,
-                _ => Pairing::Eye,
+        let mut settings = Workload {
+            asks: match task.integrator {
+                Integrator::InstantRadiosity(_) => Asks::Many,
+                Integrator::Bidirectional(_) => Asks::Pairs,
+                _ => Asks::Single,
             },
-            ..QuantizedSettings::default()
-        };
+            guarantee,
+            sequence: false,
+            samples_per_pixel: Some(task.samples),
+            pixels: u64::from(task.size[0]) * u64::from(task.size[1]),
+            points: self.points,
+            seed: task.seed,
+        }
+        .settings();
         change(&mut settings);
         Quantized::new(settings, self.bounds).expect("legal settings")
     }

@@ -33,13 +33,13 @@ use occlude_render::light::Lights;
 use occlude_render::sampling::SamplerKind;
 use occlude_render::work::{Work, shard_samples};
 use occlude_scene::{LightKind, Pose, Scene};
-use occlude_visibility::quantized::{BoundingSphere, Quantized, Share};
+use occlude_visibility::quantized::{Asks, BoundingSphere, Quantized, Share, Workload};
 use occlude_visibility::records::{Records, RecordsReport};
 use occlude_visibility::{Class, Exact, Occluder, Visibility};
 use setup::{build, load, view};
 use std::path::Path;
 use std::time::{Duration, Instant};
-use strategy::{Asks, GuaranteeName, QuantizedOptions, Strategy};
+use strategy::{GuaranteeName, QuantizedOptions, Strategy};
 
 /// How often unfinished work is saved.
 const CHECKPOINT_PERIOD: Duration = Duration::from_secs(60);
@@ -145,14 +145,18 @@ fn quantized(
         Integrator::Bidirectional => Asks::Pairs,
         Integrator::InstantRadiosity => Asks::Many,
     };
-    let guarantee = args.guarantee.unwrap_or(GuaranteeName::Bounded);
-    let seed = context.common.seed;
-    let pixels = u64::from(args.size.width) * u64::from(args.size.height);
-    let samples = args.known_samples();
     let points = (scene.lights.iter())
         .filter(|light| !matches!(light.kind, LightKind::Directional { .. }))
         .count();
-    let settings = options.settings(asks, guarantee, frames, samples, pixels, points, seed);
+    let settings = options.settings(&Workload {
+        asks,
+        guarantee: args.guarantee.unwrap_or(GuaranteeName::Bounded).into(),
+        sequence: frames,
+        samples_per_pixel: args.known_samples(),
+        pixels: u64::from(args.size.width) * u64::from(args.size.height),
+        points,
+        seed: context.common.seed,
+    });
     let copies = match settings.share {
         Share::All | Share::Frames => 1,
         Share::Tile | Share::Thread => rayon::current_num_threads() as u64,

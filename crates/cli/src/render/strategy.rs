@@ -4,7 +4,7 @@ use super::records::RecordsOptions;
 use crate::values;
 use clap::ValueEnum;
 use occlude_visibility::quantized::{
-    Digest, ErrorReach, Guarantee, Pairing, QuantizedSettings, Refine, Share,
+    Digest, ErrorReach, Guarantee, QuantizedSettings, Refine, Share, Workload,
 };
 
 /// What `--visibility` names, with the options that follow it.
@@ -37,12 +37,6 @@ pub struct QuantizedOptions {
     digest: Option<Digest>,
 }
 
-/// Words of a table of single questions for each eye sample: patches hold several questions, but a path asks at each of its vertices.
-const WORDS_PER_SAMPLE: u64 = 1;
-
-/// From how many point lights on errors of each may reach farther.
-const MANY_POINTS: usize = 16;
-
 /// `--guarantee`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum GuaranteeName {
@@ -54,15 +48,14 @@ pub enum GuaranteeName {
     Consistent,
 }
 
-/// How many questions one light end is asked: what the defaults depend on.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Asks {
-    /// One light a vertex, picked at random.
-    Single,
-    /// Pairs of path vertices.
-    Pairs,
-    /// The same lights by every eye.
-    Many,
+impl From<GuaranteeName> for Guarantee {
+    fn from(name: GuaranteeName) -> Self {
+        match name {
+            GuaranteeName::Bounded => Self::Bounded,
+            GuaranteeName::Unbiased => Self::Unbiased,
+            GuaranteeName::Consistent => Self::Consistent,
+        }
+    }
 }
 
 /// Reads the value of `--visibility`.
@@ -149,96 +142,29 @@ impl QuantizedOptions {
         Ok(())
     }
 
-    /// Settings for an integrator that asks in this way; `frames`: for several pictures; samples a pixel and of all `pixels` of the whole
-    /// work, if they are known; `points`: point and spot lights of the scene.
-    pub fn settings(
-        &self,
-        asks: Asks,
-        guarantee: GuaranteeName,
-        frames: bool,
-        samples_per_pixel: Option<u32>,
-        pixels: u64,
-        points: usize,
-        seed: u64,
-    ) -> QuantizedSettings {
-        let usual = QuantizedSettings::default();
+    /// Settings for a piece of work: what the user has not said is as measured.
+    pub fn settings(&self, work: &Workload) -> QuantizedSettings {
+        let usual = work.settings();
         let reach = |kind: Option<f32>, usual: f32| kind.or(self.error).unwrap_or(usual);
-        let guarantee = match guarantee {
-            GuaranteeName::Bounded => Guarantee::Bounded,
-            GuaranteeName::Unbiased => Guarantee::Unbiased,
-            GuaranteeName::Consistent => Guarantee::Consistent,
-        };
-        // Where checks mend errors on average, larger patches cost less than they err.
-        let usual_error = match (asks, guarantee) {
-            (Asks::Single, Guarantee::Unbiased) => ErrorReach {
-                point: 14.0,
-                direction: 14.0,
-                area: 40.0,
-                sky: 40.0,
-            },
-            // A hard shadow shows every error, but of many each brings little: about four pixels then.
-            (Asks::Many, _) if points >= MANY_POINTS => {
-                let together = samples_per_pixel.unwrap_or(1).min(16) as f32;
-                ErrorReach {
-                    point: (usual.error.point * together.sqrt()).min(usual.error.area),
-                    ..usual.error
-                }
-            }
-            _ => usual.error,
-        };
-        // What path vertices see of each other is met once and blurred by all that follows: rough patches share more.
-        let (normals, slab, step) = match asks {
-            Asks::Pairs => (2, 2.0, 2.0),
-            Asks::Single | Asks::Many => (usual.normals, usual.slab, usual.resolution_step),
-        };
-        // Tiles remember enough for themselves where they ask about the same lights in every pixel.
-        let (share, table) = match (asks, guarantee) {
-            (Asks::Many, Guarantee::Bounded | Guarantee::Unbiased) if frames => {
-                (Share::Frames, 256 << 20)
-            }
-            (Asks::Many, Guarantee::Bounded | Guarantee::Unbiased) => (Share::Tile, 4 << 20),
-            _ => (Share::All, 256 << 20),
-        };
-        let share = self.share.unwrap_or(share);
-        let table = match share {
-            // A table that is larger than what it has to hold is far from the processor for nothing.
-            Share::All if asks != Asks::Many => {
-                let samples = u64::from(samples_per_pixel.unwrap_or(1024));
-                let words = samples
-                    .saturating_mul(pixels)
-                    .saturating_mul(WORDS_PER_SAMPLE);
-                words
-                    .next_power_of_two()
-                    .saturating_mul(4)
-                    .clamp(4 << 20, 256 << 20) as usize
-            }
-            Share::All | Share::Frames => 256 << 20,
-            Share::Tile | Share::Thread => table.min(4 << 20),
-        };
+        let share = self.share.unwrap_or(usual.share);
         QuantizedSettings {
             error: ErrorReach {
-                point: reach(self.point, usual_error.point),
-                direction: reach(self.direction, usual_error.direction),
-                area: reach(self.area, usual_error.area),
-                sky: reach(self.sky, usual_error.sky),
+                point: reach(self.point, usual.error.point),
+                direction: reach(self.direction, usual.error.direction),
+                area: reach(self.area, usual.error.area),
+                sky: reach(self.sky, usual.error.sky),
             },
-            normals: self.normals.unwrap_or(normals),
-            slab: self.slab.unwrap_or(slab),
-            resolution_step: self.resolution_step.unwrap_or(step),
-            table_bytes: self
-                .table
-                .map_or(table, |bytes| usize::try_from(bytes).unwrap_or(usize::MAX)),
-            refine: self.refine.unwrap_or_default(),
+            normals: self.normals.unwrap_or(usual.normals),
+            slab: self.slab.unwrap_or(usual.slab),
+            resolution_step: self.resolution_step.unwrap_or(usual.resolution_step),
+            table_bytes: match self.table {
+                Some(bytes) => usize::try_from(bytes).unwrap_or(usize::MAX),
+                None => work.table_bytes(share),
+            },
+            refine: self.refine.unwrap_or(usual.refine),
             share,
-            digest: self.digest.unwrap_or_default(),
-            guarantee,
-            pairing: if asks == Asks::Pairs {
-                Pairing::Both
-            } else {
-                Pairing::Eye
-            },
-            samples_per_pixel: samples_per_pixel.unwrap_or(1),
-            seed,
+            digest: self.digest.unwrap_or(usual.digest),
+            ..usual
         }
     }
 }
@@ -246,6 +172,7 @@ impl QuantizedOptions {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use occlude_visibility::quantized::{Asks, Pairing};
 
     #[test]
     fn names_and_options() {
@@ -256,15 +183,15 @@ mod tests {
         ) else {
             panic!("a legal value is refused");
         };
-        let settings = options.settings(
-            Asks::Pairs,
-            GuaranteeName::Unbiased,
-            false,
-            Some(9),
-            64,
-            1,
-            7,
-        );
+        let settings = options.settings(&Workload {
+            asks: Asks::Pairs,
+            guarantee: Guarantee::Unbiased,
+            sequence: false,
+            samples_per_pixel: Some(9),
+            pixels: 64,
+            points: 1,
+            seed: 7,
+        });
         assert_eq!(
             settings,
             QuantizedSettings {

@@ -34,6 +34,7 @@ mod past;
 mod settings;
 mod single;
 mod table;
+mod workload;
 
 #[cfg(test)]
 mod tests;
@@ -44,6 +45,7 @@ pub use key::BoundingSphere;
 pub use settings::{
     ErrorReach, Guarantee, Pairing, QuantizedError, QuantizedSettings, Refine, Share,
 };
+pub use workload::{Asks, Workload};
 
 use crate::stats::{Footprint, Held};
 use crate::{
