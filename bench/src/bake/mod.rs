@@ -2,6 +2,7 @@
 
 mod rays;
 mod subject;
+mod tiling;
 
 use crate::common::{Report, Row, Setting, median, process_seconds};
 use glam::Vec3;
@@ -25,9 +26,20 @@ const SCENES: [(&str, f64); 4] = [
     ("sintel_hair", 5.0),
 ];
 
+/// Parts of the suite.
+const TOPICS: &[&str] = &[
+    "exchanges",
+    "prediction",
+    "sweeps",
+    "tiling",
+    "breakdown",
+    "city",
+];
+
 pub fn run(setting: &Setting) -> Report {
     let mut report = Report::new("Ray bundles", "topic,scene,repetition,name,value");
     report.live(&setting.out);
+    report.unknown_topics(setting, TOPICS);
     if setting.wants_topic("exchanges") {
         exchanges(setting, &mut report);
     }
@@ -36,6 +48,12 @@ pub fn run(setting: &Setting) -> Report {
     }
     if setting.wants_topic("sweeps") {
         sweeps(setting, &mut report);
+    }
+    if setting.wants_topic("tiling") {
+        tiling::run(setting, &mut report);
+    }
+    if setting.wants_topic("breakdown") {
+        breakdown(setting, &mut report);
     }
     if setting.wants_topic("city") {
         city(setting, &mut report);
@@ -390,6 +408,80 @@ fn sweeps(setting: &Setting, report: &mut Report) {
     }
 }
 
+/// A row of the paper's Table 1; `value`: seconds a direction.
+fn table_1(report: &mut Report, scene: &str, what: &str, sum: &Stats, value: f64) {
+    let n = sum.directions as f64;
+    let ms = |x: f64| format!("{:.1}", x / n * 1e3);
+    let overhead = sum.seconds.analysis + sum.seconds.mipmaps + sum.seconds.tiling;
+    report.table(
+        "Table 1: milliseconds a direction",
+        &[
+            "scene",
+            "settings",
+            "tiles",
+            "M lines",
+            "M fragments",
+            "M exchanges",
+            "analysis",
+            "mipmaps",
+            "tiling",
+            "creation",
+            "update",
+            "all",
+            "first three",
+        ],
+        vec![
+            scene.into(),
+            what.into(),
+            format!("{:.0}", sum.tiles as f64 / n),
+            format!("{:.1}", sum.lines as f64 / n / 1e6),
+            format!("{:.1}", sum.fragments as f64 / n / 1e6),
+            format!("{:.1}", sum.exchanges as f64 / n / 1e6),
+            ms(sum.seconds.analysis),
+            ms(sum.seconds.mipmaps),
+            ms(sum.seconds.tiling),
+            ms(sum.seconds.creation),
+            ms(sum.seconds.update),
+            format!("{:.0}", value * 1e3),
+            format!("{:.1} %", 100.0 * overhead / sum.total_seconds()),
+        ],
+    );
+}
+
+/// The other columns of Table 1, for scenes like those of Fig. 7: an open hall (a), plants under a sky (b), a hall behind small holes (c).
+fn breakdown(setting: &Setting, report: &mut Report) {
+    for name in ["sponza", "pine_forest", "holes"] {
+        let Some(subject) = ready_subject(setting, report, name) else {
+            continue;
+        };
+        let Ok((atlas, _)) = subject.atlas(if setting.quick { 2.5e5 } else { 4e6 }) else {
+            continue;
+        };
+        let ready = Ready::new(&subject, &atlas, MOST_SHARE);
+        for (what, layout) in [
+            ("scan and scatter", Layout::ScanScatter),
+            ("linked lists", Layout::LinkedList),
+        ] {
+            let settings = Settings {
+                layout,
+                ..Settings::default()
+            };
+            ready.gather(0..1, &settings);
+            let (mut sum, mut seconds) = (Stats::default(), Vec::new());
+            for index in 1..if setting.quick { 4 } else { 9 } {
+                let clock = Instant::now();
+                sum += ready.gather(index..index + 1, &settings);
+                seconds.push(clock.elapsed().as_secs_f64());
+                report.raw(&format!(
+                    "breakdown,{name},{index},{what},{}",
+                    seconds[seconds.len() - 1]
+                ));
+            }
+            table_1(report, name, what, &sum, median(&seconds).0);
+        }
+    }
+}
+
 /// The paper's scene size.
 fn city(setting: &Setting, report: &mut Report) {
     let Some(subject) = ready_subject(setting, report, "city") else {
@@ -456,45 +548,7 @@ fn city(setting: &Setting, report: &mut Report) {
             sum += stats;
         }
         let (value, spread) = median(&seconds);
-        let n = sum.directions as f64;
-        let ms = |x: f64| format!("{:.1}", x / n * 1e3);
-        report.table(
-            "Table 1: milliseconds a direction",
-            &[
-                "scene",
-                "settings",
-                "tiles",
-                "M lines",
-                "M fragments",
-                "M exchanges",
-                "analysis",
-                "mipmaps",
-                "tiling",
-                "creation",
-                "update",
-                "all",
-                "first three",
-            ],
-            vec![
-                "city".into(),
-                what.into(),
-                format!("{:.0}", sum.tiles as f64 / n),
-                format!("{:.1}", sum.lines as f64 / n / 1e6),
-                format!("{:.1}", sum.fragments as f64 / n / 1e6),
-                format!("{:.1}", sum.exchanges as f64 / n / 1e6),
-                ms(sum.seconds.analysis),
-                ms(sum.seconds.mipmaps),
-                ms(sum.seconds.tiling),
-                ms(sum.seconds.creation),
-                ms(sum.seconds.update),
-                format!("{:.0}", value * 1e3),
-                format!(
-                    "{:.1} %",
-                    100.0 * (sum.seconds.analysis + sum.seconds.mipmaps + sum.seconds.tiling)
-                        / sum.total_seconds()
-                ),
-            ],
-        );
+        table_1(report, "city", what, &sum, value);
         report.row(Row {
             name: format!("city: seconds a direction, {what}"),
             scene: "city".into(),

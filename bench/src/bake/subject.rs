@@ -19,6 +19,8 @@ pub fn load(setting: &Setting, name: &str) -> Result<Subject, String> {
         let triangles = (!setting.quick).then_some(3_800_000);
         let triangles = triangles.or(Some(300_000));
         split_by_distance(procedural::build(procedural::Name::City, triangles, 0))
+    } else if name == "holes" {
+        holes()
     } else {
         let path = setting.scenes.join(format!("{name}.glb"));
         if !path.exists() {
@@ -35,6 +37,76 @@ pub fn load(setting: &Setting, name: &str) -> Result<Subject, String> {
         scene,
         pose,
     })
+}
+
+/// Length, height and width of the hall of [`holes`], metres.
+const HALL: Vec3 = Vec3::new(10.0, 3.0, 6.0);
+
+/// Where its wall of holes stands.
+const WALL: f32 = 5.0;
+
+/// The paper's Fig. 7 (c): a hall that is cut in two by a wall with small holes; many lamps on one side, and on the other what comes through.
+fn holes() -> Scene {
+    let mut scene = Scene {
+        materials: vec![occlude_scene::Material::default()],
+        ..Scene::default()
+    };
+    let mut add = |name: &str, quads: &[[Vec3; 4]]| {
+        let index = scene.meshes.len() as u32;
+        let mut mesh = Mesh {
+            name: name.into(),
+            ..Mesh::default()
+        };
+        for (k, corners) in quads.iter().enumerate() {
+            mesh.positions.extend(corners);
+            let first = 4 * k as u32;
+            mesh.triangles
+                .extend([[0, 1, 2], [0, 2, 3]].map(|t: [u32; 3]| t.map(|v| v + first)));
+        }
+        scene.meshes.push(mesh);
+        scene.nodes.push(Node {
+            name: name.into(),
+            parent: None,
+            parent_from_node: glam::Affine3A::IDENTITY,
+        });
+        scene.instances.push(Instance {
+            mesh: index,
+            node: index,
+            node_from_object: glam::Affine3A::IDENTITY,
+            skin: None,
+        });
+    };
+    // Fronts inwards.
+    let (x, y, z) = (Vec3::X * HALL.x, Vec3::Y * HALL.y, Vec3::Z * HALL.z);
+    let face = |at: Vec3, a: Vec3, b: Vec3| [at, at + a, at + a + b, at + b];
+    add("floor", &[face(Vec3::ZERO, z, x)]);
+    add("ceiling", &[face(y, x, z)]);
+    add("ends", &[face(Vec3::ZERO, y, z), face(x, z, y)]);
+    add("sides", &[face(Vec3::ZERO, x, y), face(z, y, x)]);
+    // Every fifth cell of 5 cm is open; both sides of the wall are there.
+    let cell = 0.05;
+    let (rows, columns) = ((HALL.y / cell) as u32, (HALL.z / cell) as u32);
+    let mut wall = Vec::new();
+    for (row, column) in (0..rows).flat_map(|r| (0..columns).map(move |c| (r, c))) {
+        if row % 5 == 2 && column % 5 == 2 {
+            continue;
+        }
+        let at = Vec3::new(WALL, row as f32 * cell, column as f32 * cell);
+        let (up, along) = (Vec3::Y * cell, Vec3::Z * cell);
+        wall.push(face(at + Vec3::X * 0.01, up, along));
+        wall.push(face(at - Vec3::X * 0.01, along, up));
+    }
+    add("wall", &wall);
+    scene
+}
+
+/// The lamps of [`holes`].
+pub fn hole_lamps() -> Vec<Vec3> {
+    let place = |k: u32| {
+        let (row, column) = ((k / 6) as f32, (k % 6) as f32);
+        Vec3::new(0.7 + 1.1 * row, 2.7, 0.5 + column)
+    };
+    (0..24).map(place).collect()
 }
 
 /// Rings about the middle, metres, and how dense texels are there relative to the innermost.

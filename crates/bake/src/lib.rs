@@ -1,6 +1,7 @@
 //! Baking: the light that falls on every surface of a scene, stored in textures.
 //!
 //! * [`atlas`] gives every triangle a place of its own on a page of texels;
+//! * [`orient`] finds out which side of two-sided surfaces is baked;
 //! * [`texel`] says which part of which surfaces a texel is;
 //! * [`gather`] finds the light at points by path tracing;
 //! * [`bundle`] gathers light along many directions, for all texels at once, into [`sums`];
@@ -17,6 +18,7 @@ pub mod export;
 pub mod finish;
 pub mod gather;
 pub mod noise;
+pub mod orient;
 pub mod plan;
 pub mod rounds;
 pub mod sky;

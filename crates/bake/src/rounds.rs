@@ -160,6 +160,29 @@ pub struct Stop {
     pub noise: Option<f64>,
 }
 
+/// [`Stop`] for a round that has begun.
+#[derive(Clone, Copy, Debug)]
+struct Until {
+    deadline: Option<Instant>,
+    noise: Option<f64>,
+}
+
+impl Until {
+    /// After a batch of items that all units have: looks at the noise, lets the state be written, and says whether this is the end.
+    fn end_batch(self, state: &mut State, at_rest: &mut dyn FnMut(&State)) -> Option<Ended> {
+        state.noise.end_batch(&state.sums);
+        at_rest(state);
+        if state.is_complete() {
+            Some(Ended::Samples)
+        } else if self.deadline.is_some_and(|end| Instant::now() >= end) {
+            Some(Ended::Time)
+        } else {
+            let low = |limit| state.noise.relative_error() <= limit;
+            self.noise.is_some_and(low).then_some(Ended::Noise)
+        }
+    }
+}
+
 /// Why gathering ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ended {
@@ -383,13 +406,16 @@ impl<'a> Bake<'a> {
     ) -> Ended {
         let round = self.rounds[state.header.round as usize];
         let began = Instant::now();
-        let deadline = stop.time_limit.map(|limit| began + limit);
+        let until = Until {
+            deadline: stop.time_limit.map(|limit| began + limit),
+            noise: stop.noise,
+        };
         let ended = match round.kind {
             RoundKind::Paths | RoundKind::Direct => {
-                self.sample(round, state, deadline, stop.noise, job, report, at_rest)
+                self.sample(round, state, until, job, report, at_rest)
             }
             RoundKind::Sky | RoundKind::Reflected => {
-                self.bundle(round, state, deadline, stop.noise, job, report, at_rest)
+                self.bundle(round, state, until, job, report, at_rest)
             }
         };
         report

@@ -3,8 +3,9 @@
 use glam::{Affine3A, Vec2, Vec3, vec2, vec3};
 use occlude_bake::atlas::{self, AtlasError, AtlasSettings, Built, density};
 use occlude_bake::export::{self, ExportSettings, Insides, Light};
-use occlude_bake::finish::Canvas;
+use occlude_bake::finish::orphans::adopt;
 use occlude_bake::finish::seams::stitch;
+use occlude_bake::finish::{Canvas, LEAST_VALIDITY};
 use occlude_bake::texel::Texels;
 use occlude_bake::texel::validity::{Solids, validity};
 use occlude_bvh::BuildOptions;
@@ -371,4 +372,147 @@ fn sunken_walls_leave_no_dark_rim() {
         .fold(1.0, f32::min);
     assert!(darkest > 0.6, "{darkest}");
     std::fs::remove_dir_all(out).unwrap();
+}
+
+/// By texel of the first page: the share of its square that is covered, and the point that stands for it.
+fn covered(scene: &Scene, pose: &Pose, texels: &Texels) -> Vec<Option<(f32, u32, Vec3)>> {
+    let mut all = vec![None; texels.atlas.pages[0].texels() as usize];
+    for (page, rows) in texels.bands(16) {
+        let band = texels.band(page, rows);
+        for i in 0..band.len() {
+            let share = band.fragments(i).iter().map(|f| f.area).sum();
+            let hit = texels.representative(&band, i);
+            let world = WorldTriangle::new(scene, pose, hit.instance, hit.primitive);
+            let place = world.point(hit.u, hit.v);
+            all[band.texel(i) as usize] = Some((share, hit.instance, place));
+        }
+    }
+    all
+}
+
+#[test]
+fn rims_that_are_hardly_covered_take_the_values_beside_them() {
+    // A wedge: its long side cuts texels into all kinds of rests.
+    let wedge = Mesh {
+        positions: vec![Vec3::ZERO, vec3(0.0, 0.0, 7.3), vec3(23.0, 0.0, 0.0)],
+        triangles: vec![[0, 1, 2]],
+        ..Mesh::default()
+    };
+    let scene = scene(vec![("wedge", wedge, Vec3::ZERO)]);
+    let (pose, built) = build(&scene, 1.0, 64).unwrap();
+    let texels = Texels::new(&scene, &pose, &built.atlas);
+    let covered = covered(&scene, &pose, &texels);
+    let covered = &covered;
+    let share = move |i: usize| covered[i].map_or(0.0, |c| c.0);
+    // Below this a texel is distrusted if a neighbour has four times as much.
+    let finished = |least: f32| {
+        let mut canvas = Canvas::new(&texels, 0);
+        for i in 0..covered.len() {
+            canvas.values[i] = [if share(i) < least { 100.0 } else { 1.0 }; 3];
+        }
+        canvas.distrust_rims(&texels, 0, least);
+        let filled = canvas.fill_invalid();
+        let invalid = canvas.validity.iter().filter(|&&v| v < LEAST_VALIDITY);
+        assert_eq!(filled, invalid.count() as u64);
+        let bright =
+            (0..covered.len()).filter(|&i| covered[i].is_some() && canvas.values[i][0] > 1.0);
+        (filled, bright.count())
+    };
+    let width = built.atlas.pages[0].width as i64;
+    let thin = |least: f32| {
+        let around = move |i: usize| {
+            let all = (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (dx, dy)));
+            all.map(move |(dx, dy)| (i as i64 + dy * width + dx) as usize)
+        };
+        // The wedge ends before the page does, so rows do not run into each other.
+        (0..covered.len())
+            .filter(move |&i| covered[i].is_some() && share(i) < least)
+            .filter(move |&i| {
+                around(i).any(|n| n < covered.len() && share(n) >= (4.0 * share(i)).max(least))
+            })
+            .count() as u64
+    };
+    let all = (0..covered.len()).filter(|&i| covered[i].is_some() && share(i) < 0.2);
+    let (all, count) = (all.count() as u64, thin(0.2));
+    assert!(count >= 6, "{count} rims");
+    assert_eq!(finished(0.2), (count, (all - count) as usize));
+    assert_eq!(finished(1e-6), (0, 0));
+
+    // A strip of which no texel has much has nobody to ask.
+    let mut strip = square(1.0, &[]);
+    strip
+        .positions
+        .iter_mut()
+        .for_each(|p| *p *= vec3(6.0, 1.0, 0.03));
+    let strip = self::scene(vec![("strip", strip, Vec3::ZERO)]);
+    let (pose, built) = build(&strip, 1.0, 64).unwrap();
+    let texels = Texels::new(&strip, &pose, &built.atlas);
+    let mut canvas = Canvas::new(&texels, 0);
+    canvas.distrust_rims(&texels, 0, 0.25);
+    let inner = self::covered(&strip, &pose, &texels);
+    let inner = inner.iter().flatten().filter(|c| c.0 > 0.02).count();
+    let valid =
+        (canvas.charts.iter().zip(&canvas.validity)).filter(|(c, v)| **c != 0 && **v == 1.0);
+    assert!(inner >= 4 && valid.count() >= inner, "{inner}");
+}
+
+#[test]
+fn charts_that_no_line_met_take_the_light_of_what_is_near() {
+    // One mesh of two floors and a crumb above the second, near its edge; another mesh is nearer to the crumb still.
+    let mut mesh = Mesh::default();
+    let parts = [
+        (4.0, Vec3::ZERO),
+        (4.0, Vec3::X * 10.0),
+        (0.2, vec3(10.1, 0.1, 2.0)),
+    ];
+    for (side, place) in parts {
+        let first = mesh.positions.len() as u32;
+        let part = square(side, &[]);
+        mesh.positions
+            .extend(part.positions.iter().map(|p| *p + place));
+        mesh.triangles
+            .extend(part.triangles.iter().map(|t| t.map(|v| v + first)));
+    }
+    let scene = scene(vec![
+        ("floors", mesh, Vec3::ZERO),
+        ("other", square(0.3, &[]), vec3(10.1, 0.12, 2.0)),
+    ]);
+    let (pose, built) = build(&scene, 2.0, 64).unwrap();
+    let texels = Texels::new(&scene, &pose, &built.atlas);
+    let covered = covered(&scene, &pose, &texels);
+    let mut canvas = Canvas::new(&texels, 0);
+    for (i, value) in canvas.values.iter_mut().enumerate() {
+        *value = [i as f32; 3];
+    }
+    let before = canvas.clone();
+    assert_eq!(adopt(&texels, 0, &mut canvas), 0);
+    assert_eq!(canvas, before, "all charts have valid texels");
+
+    let is_crumb = |c: &(f32, u32, Vec3)| c.1 == 0 && (c.2.y - 0.1).abs() < 1e-3;
+    let crumbs: Vec<usize> = (0..covered.len())
+        .filter(|&i| covered[i].as_ref().is_some_and(is_crumb))
+        .collect();
+    assert!(!crumbs.is_empty());
+    crumbs.iter().for_each(|&i| canvas.validity[i] = 0.0);
+    assert_eq!(canvas.fill_invalid(), 0, "nobody of their chart knows");
+    assert_eq!(adopt(&texels, 0, &mut canvas), crumbs.len() as u64);
+    for &crumb in &crumbs {
+        let parent = canvas.values[crumb][0] as usize;
+        let away = |i: usize| covered[i].unwrap().2.distance(covered[crumb].unwrap().2);
+        let known = (0..covered.len())
+            .filter(|&i| covered[i].is_some_and(|c| c.1 == 0) && !crumbs.contains(&i));
+        let nearest = known.map(away).fold(f32::INFINITY, f32::min);
+        assert!(covered[parent].unwrap().1 == 0 && !crumbs.contains(&parent));
+        assert!((away(parent) - nearest).abs() < 1e-6, "{parent} of {crumb}");
+    }
+
+    // Where nothing of an instance is known, all stays as it is.
+    let mut lost = before.clone();
+    for (i, validity) in lost.validity.iter_mut().enumerate() {
+        if covered[i].is_some_and(|c| c.1 == 0) {
+            *validity = 0.0;
+        }
+    }
+    assert_eq!(adopt(&texels, 0, &mut lost), 0);
+    assert_eq!(lost.values, before.values);
 }

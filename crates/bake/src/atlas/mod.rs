@@ -60,6 +60,8 @@ pub struct Layout {
     pub corners: Vec<[Vec2; 3]>,
     /// The chart of every triangle, counted through the layout; [`Layout::NO_CHART`] if it has none.
     pub charts: Vec<u32>,
+    /// By chart: its texels are those of the side from which vertices run clockwise; empty: none is turned. See [`crate::orient`].
+    pub turned: Vec<bool>,
     /// Width and height of every piece, texels; never empty.
     pub pieces: Vec<UVec2>,
     /// The piece of every triangle; empty if there is only one.
@@ -109,6 +111,7 @@ impl Layout {
     pub fn bytes(&self) -> u64 {
         let held = self.corners.capacity() * size_of::<[Vec2; 3]>()
             + self.charts.capacity() * 4
+            + self.turned.capacity()
             + self.piece_of.capacity() * 2
             + self.order.capacity() * 4
             + self.buckets.iter().map(|b| b.capacity() * 4).sum::<usize>();
@@ -229,6 +232,17 @@ impl Atlas {
             self.rectangles[(placement.first_rectangle + layout.piece(primitive)) as usize];
         let offset = rectangle.offset.as_vec2();
         Some((rectangle.page, corners.map(|corner| corner + offset)))
+    }
+
+    /// Whether the texels of a triangle are those of its back: see [`Layout::turned`].
+    #[inline]
+    pub fn is_turned(&self, instance: u32, primitive: u32) -> bool {
+        let placement = self.placements.get(instance as usize).copied().flatten();
+        let layout = placement.and_then(|placement| self.layouts.get(placement.layout as usize));
+        layout.is_some_and(|layout| {
+            let chart = layout.charts[primitive as usize];
+            layout.turned.get(chart as usize).copied().unwrap_or(false)
+        })
     }
 
     /// The texel at a point of a triangle (`u` and `v` weigh the second and the third corner). `None` if the triangle has none.

@@ -14,10 +14,16 @@ use super::raster::{Isa, high, low, multiversion};
 use super::triangles::{LANES, Triangles};
 use rayon::prelude::*;
 use std::ops::Range;
-use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
+use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering::Relaxed};
 
 /// Fragments are counted in parts of this size.
 const FRACTION: f32 = 256.0;
+
+/// Maps of counts at most: more threads than this wait for each other here.
+const MOST_SHARES: u64 = 8;
+
+/// Blocks of triangles that a thread takes at a time.
+const BLOCKS_TOGETHER: usize = 256;
 
 /// How the fragments of the analysis are counted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -34,7 +40,8 @@ pub enum Counting {
 pub(super) struct Maps {
     size: u32,
     importance_bits: Vec<AtomicU32>,
-    counts: Vec<AtomicU32>,
+    /// Of each share of the triangles, [`FRACTION`]s.
+    counts: Vec<Vec<u32>>,
     /// By level: largest importance, texels per m².
     pub importance: Vec<Vec<f32>>,
     /// By level: mean number of surfaces along a line.
@@ -42,9 +49,10 @@ pub(super) struct Maps {
 }
 
 impl Maps {
-    /// Empty maps; `size` is a power of two.
-    pub fn new(size: u32) -> Self {
+    /// Empty maps, to be rendered by so many threads; `size` is a power of two.
+    pub fn new(size: u32, threads: usize) -> Self {
         let count = (size * size) as usize;
+        let shares = threads.clamp(1, MOST_SHARES as usize);
         let levels = || {
             (0..=size.ilog2())
                 .map(|level| vec![0.0; count >> (2 * level)])
@@ -53,15 +61,15 @@ impl Maps {
         Self {
             size,
             importance_bits: (0..count).map(|_| AtomicU32::new(0)).collect(),
-            counts: (0..count).map(|_| AtomicU32::new(0)).collect(),
+            counts: vec![vec![0; count]; shares],
             importance: levels(),
             fragments: levels(),
         }
     }
 
-    /// Bytes of maps of `size` pixels along a side.
-    pub fn bytes(size: u32) -> u64 {
-        u64::from(size) * u64::from(size) * 19
+    /// Bytes of maps of `size` pixels along a side, for so many threads.
+    pub fn bytes(size: u32, threads: u64) -> u64 {
+        u64::from(size) * u64::from(size) * (15 + 4 * threads.clamp(1, MOST_SHARES))
     }
 
     /// Pixels along a side.
@@ -73,21 +81,33 @@ impl Maps {
     pub fn render(&mut self, isa: Isa, triangles: &Triangles, frame: &Frame, counting: Counting) {
         self.importance_bits
             .par_chunks_mut(1 << 14)
-            .zip(self.counts.par_chunks_mut(1 << 14))
-            .for_each(|(importance, counts)| {
-                importance.iter_mut().for_each(|x| *x.get_mut() = 0);
-                counts.iter_mut().for_each(|x| *x.get_mut() = 0);
-            });
+            .for_each(|bits| bits.iter_mut().for_each(|x| *x.get_mut() = 0));
+        let mut counts = std::mem::take(&mut self.counts);
         let maps = &*self;
         let blocks = triangles.blocks().len();
-        let share = 256;
-        (0..blocks.div_ceil(share)).into_par_iter().for_each(|n| {
-            let blocks = n * share..blocks.min((n + 1) * share);
-            render(isa, maps, triangles, frame, counting, blocks);
+        let next = AtomicUsize::new(0);
+        counts.par_iter_mut().with_max_len(1).for_each(|counts| {
+            counts.fill(0);
+            loop {
+                let first = next.fetch_add(BLOCKS_TOGETHER, Relaxed);
+                if first >= blocks {
+                    break;
+                }
+                let blocks = first..blocks.min(first + BLOCKS_TOGETHER);
+                render(isa, maps, triangles, frame, counting, blocks, counts);
+            }
         });
+        self.counts = counts;
     }
 
-    fn mark(&self, x: [f32; 3], y: [f32; 3], importance: f32, counting: Counting) {
+    fn mark(
+        &self,
+        x: [f32; 3],
+        y: [f32; 3],
+        importance: f32,
+        counting: Counting,
+        counts: &mut [u32],
+    ) {
         let (x_low, x_high) = (x[0].min(x[1]).min(x[2]), x[0].max(x[1]).max(x[2]));
         let (y_low, y_high) = (y[0].min(y[1]).min(y[2]), y[0].max(y[1]).max(y[2]));
         let last = self.size as i32 - 1;
@@ -111,7 +131,7 @@ impl Maps {
                 let parts = (0.5 * area.abs() * FRACTION + chance) as u32;
                 if parts > 0 {
                     let pixel = middle(y).min(last) * (last + 1) + middle(x).min(last);
-                    self.counts[pixel as usize].fetch_add(parts, Relaxed);
+                    counts[pixel as usize] += parts;
                 }
                 return;
             }
@@ -123,6 +143,7 @@ impl Maps {
             area,
             importance,
             small,
+            counts,
         );
     }
 
@@ -135,6 +156,7 @@ impl Maps {
         area: f32,
         importance: f32,
         marked: bool,
+        counts: &mut [u32],
     ) {
         for row in row_0..=row_1 {
             let (top, bottom) = (row as f32, row as f32 + 1.0);
@@ -176,7 +198,7 @@ impl Maps {
                 let first = ((left - 0.5).ceil() as i32).max(column_0);
                 let end = ((right - 0.5).ceil() as i32).min(column_1 + 1);
                 for column in first..end {
-                    self.counts[(line + column) as usize].fetch_add(FRACTION as u32, Relaxed);
+                    counts[(line + column) as usize] += FRACTION as u32;
                 }
             }
         }
@@ -199,11 +221,17 @@ impl Maps {
             .into_par_iter()
             .with_min_len(1 << 14)
             .for_each(|(to, from)| *to = f32::from_bits(*from.get_mut()));
-        let counts = self.counts.par_iter_mut();
-        (&mut self.fragments[0], counts)
-            .into_par_iter()
-            .with_min_len(1 << 14)
-            .for_each(|(to, from)| *to = *from.get_mut() as f32 * (1.0 / FRACTION));
+        let counts = &self.counts;
+        self.fragments[0]
+            .par_chunks_mut(1 << 14)
+            .enumerate()
+            .for_each(|(chunk, to)| {
+                for (i, to) in to.iter_mut().enumerate() {
+                    let pixel = (chunk << 14) + i;
+                    let sum: u32 = counts.iter().map(|counts| counts[pixel]).sum();
+                    *to = sum as f32 * (1.0 / FRACTION);
+                }
+            });
         for level in 1..self.importance.len() {
             let size = (self.size >> level) as usize;
             halve(&mut self.importance, level, size, |a, b, c, d| {
@@ -223,6 +251,7 @@ multiversion! {
         frame: &Frame,
         counting: Counting,
         blocks: Range<usize>,
+        counts: &mut [u32],
     ) = render_lanes
 }
 
@@ -234,6 +263,7 @@ fn render_lanes(
     frame: &Frame,
     counting: Counting,
     blocks: Range<usize>,
+    counts: &mut [u32],
 ) {
     let last = maps.size as i32 - 1;
     for number in blocks {
@@ -287,7 +317,7 @@ fn render_lanes(
                 for row in box_low[1]..=box_high[1] {
                     for column in box_low[0]..=box_high[0] {
                         let pixel = (row * (last + 1) + column) as usize;
-                        maps.counts[pixel].fetch_add(parts, Relaxed);
+                        counts[pixel] += parts;
                     }
                 }
             }
@@ -296,7 +326,7 @@ fn render_lanes(
         for lane in 0..count {
             let x = [window[0][lane], window[1][lane], window[2][lane]];
             let y = [window[3][lane], window[4][lane], window[5][lane]];
-            maps.mark(x, y, importance[lane], counting);
+            maps.mark(x, y, importance[lane], counting, counts);
         }
     }
 }

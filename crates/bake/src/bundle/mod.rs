@@ -60,6 +60,16 @@ pub enum Layout {
     LinkedList,
 }
 
+/// Which tiles there are.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Cutting {
+    /// By importance and predicted memory: the paper's.
+    #[default]
+    Adaptive,
+    /// `4^n` tiles of W x W lines, whatever is in them; 0: no tiling. What the paper is compared with, for measurements alone.
+    Uniform(u32),
+}
+
 /// How bundles are cut into tiles.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
@@ -75,6 +85,8 @@ pub struct Settings {
     pub factor: f32,
     /// How the analysis counts.
     pub counting: Counting,
+    /// Which tiles there are.
+    pub cutting: Cutting,
     /// How fragments are kept.
     pub layout: Layout,
     /// Split what overflows and do it again; otherwise drop what finds no room, as the paper does, which is for measurements alone.
@@ -92,6 +104,7 @@ impl Default for Settings {
             alpha: 0.9,
             factor: 1.0,
             counting: Counting::default(),
+            cutting: Cutting::default(),
             layout: Layout::default(),
             recover: true,
             entries: 1 << 26,
@@ -112,7 +125,7 @@ impl Settings {
             Layout::ScanScatter => threads * ScanScatter::bytes(nodes / threads.max(1), BIN_LINES),
             Layout::LinkedList => threads * LinkedList::bytes(nodes, lines),
         };
-        Maps::bytes(self.analysis) + fragments + threads * Exchange::BYTES + TILING_BYTES
+        Maps::bytes(self.analysis, threads) + fragments + threads * Exchange::BYTES + TILING_BYTES
     }
 
     /// The settings for a process that may hold `limit` bytes in all. Whatever else it holds, the nodes take a sixteenth and the analysis
@@ -122,7 +135,7 @@ impl Settings {
         let mut settings = Self::default();
         let nodes = (limit / 16 / ScanScatter::NODE_BYTES).min(u64::from(settings.nodes)) as u32;
         settings.nodes = nodes.max(LEAST_NODES);
-        while settings.analysis > LEAST_ANALYSIS && Maps::bytes(settings.analysis) > limit / 32 {
+        while settings.analysis > LEAST_ANALYSIS && Maps::bytes(settings.analysis, 1) > limit / 32 {
             settings.analysis /= 2;
         }
         settings.entries = LEAST_ENTRIES;

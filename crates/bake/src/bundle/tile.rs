@@ -77,9 +77,7 @@ struct Node {
 impl Tiling {
     /// Descends the maps. `pixel` is the side of an analysis pixel, metres.
     pub fn descend(&mut self, maps: &Maps, pixel: f32, bounds: &Bounds) {
-        self.tiles.clear();
-        self.splits.clear();
-        self.wholes.clear();
+        self.clear();
         let top = maps.importance.len() - 1;
         let node = Node {
             level: top,
@@ -87,9 +85,38 @@ impl Tiling {
             row: 0,
             most: (f64::from(bounds.lines) * f64::from(bounds.lines)) as f32,
         };
-        self.size = (1u32 << top) as f32;
         let root = self.node(maps, pixel, bounds, node);
-        self.root = Some(root);
+        self.set_root(root, (1u32 << top) as f32);
+    }
+
+    /// `4^levels` tiles with `lines` lines along a side of each; the window is `size` analysis pixels wide.
+    pub fn uniform(&mut self, size: f32, levels: u32, lines: u32) {
+        self.clear();
+        let root = self.even([0.0; 2], size, levels, lines);
+        self.set_root(root, size);
+    }
+
+    fn even(&mut self, [x, y]: [f32; 2], width: f32, levels: u32, lines: u32) -> Place {
+        if levels == 0 {
+            return self.tile([x, y], width, lines);
+        }
+        let half = 0.5 * width;
+        let quarters = [0, 1, 2, 3].map(|k| {
+            let corner = [x + half * (k & 1) as f32, y + half * (k >> 1) as f32];
+            self.even(corner, half, levels - 1, lines)
+        });
+        // More lines than a tile may have: no false alarm.
+        self.split(quarters, f32::MAX, 0.0)
+    }
+
+    fn clear(&mut self) {
+        self.tiles.clear();
+        self.splits.clear();
+        self.wholes.clear();
+    }
+
+    fn set_root(&mut self, root: Place, size: f32) {
+        (self.root, self.size) = (Some(root), size);
         self.cells.resize((CELLS * CELLS) as usize, Place::Nothing);
         self.spread(root, 0, 0, CELLS);
     }
@@ -119,9 +146,7 @@ impl Tiling {
     /// With this root, for tests.
     #[cfg(test)]
     pub fn rooted(mut self, root: Place, size: f32) -> Self {
-        (self.root, self.size) = (Some(root), size);
-        self.cells.resize((CELLS * CELLS) as usize, Place::Nothing);
-        self.spread(root, 0, 0, CELLS);
+        self.set_root(root, size);
         self
     }
 

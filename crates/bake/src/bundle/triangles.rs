@@ -95,7 +95,7 @@ pub(super) struct Lot {
 
 /// Some triangles let light pass: cut-outs and blended materials.
 const FILTERED: u32 = 1 << 31;
-/// The second and third corners are swapped, so that the front runs counterclockwise in the world.
+/// The second and third corners are swapped, so that the side that is baked runs counterclockwise in the world.
 const MIRRORED: u32 = 1 << 30;
 
 /// Its chart is so much denser than the instance's that lines cannot serve it.
@@ -213,10 +213,11 @@ impl<'a> Triangles<'a> {
             for primitive in 0..mesh.triangles.len() as u32 {
                 let world = WorldTriangle::new(scene, pose, number as u32, primitive);
                 let place = atlas.triangle(number as u32, primitive);
+                let turned = atlas.is_turned(number as u32, primitive);
                 triangles.push(
                     number as u32,
                     primitive,
-                    &world,
+                    (&world, turned),
                     place,
                     filtered,
                     stand_in_lot,
@@ -236,7 +237,7 @@ impl<'a> Triangles<'a> {
         &mut self,
         instance: u32,
         primitive: u32,
-        world: &WorldTriangle,
+        (world, turned): (&WorldTriangle, bool),
         place: Option<(u32, [Vec2; 3])>,
         filtered: u32,
         stand_in_lot: u32,
@@ -260,7 +261,7 @@ impl<'a> Triangles<'a> {
                 (stand_in_lot, [middle; 3], 0.0)
             }
         };
-        if world.mirrored {
+        if world.mirrored != turned {
             corners.swap(1, 2);
             chart.swap(1, 2);
             note |= MIRRORED;

@@ -12,7 +12,7 @@ use super::raster::{Clip, Isa, Scratch, Source, Target, rasterize};
 use super::tile::{Bounds, Tiling};
 use super::transport::Lines;
 use super::triangles::Triangles;
-use super::{Layout, Seconds, Settings, Stats};
+use super::{Cutting, Layout, Seconds, Settings, Stats};
 use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
@@ -54,7 +54,7 @@ impl Bundle {
         let size = settings.analysis.min(useful).next_power_of_two();
         Self {
             isa: Isa::detect(),
-            maps: Maps::new(size.clamp(256, 8192)),
+            maps: Maps::new(size.clamp(256, 8192), rayon::current_num_threads()),
             tiling: Tiling::default(),
             bins: Bins::default(),
             found: Vec::new(),
@@ -85,7 +85,13 @@ impl Bundle {
             alpha: settings.alpha,
             factor: settings.factor,
         };
-        self.tiling.descend(&self.maps, frame.pixel, &bounds);
+        match settings.cutting {
+            Cutting::Adaptive => self.tiling.descend(&self.maps, frame.pixel, &bounds),
+            Cutting::Uniform(levels) => {
+                let size = self.maps.size() as f32;
+                self.tiling.uniform(size, levels, bounds.lines);
+            }
+        }
         self.bins.cut(&self.tiling, direction.key);
         stats.seconds.tiling = laps.lap();
         stats.tiles = self.tiling.tiles.len() as u64;

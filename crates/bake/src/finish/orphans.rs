@@ -1,4 +1,14 @@
-//! Charts that no line has met: smaller than what a light map can show, they take the light of what is nearest in the world.
+//! Charts of which nothing is known: they take the light of what is nearest in the world.
+//!
+//! Screws and slivers have charts of a single texel, which a bake of few directions may never meet, and things that stand inside of
+//! others have charts without a valid texel. Black specks would be left. No paper: a k-d tree over the valid texels of the same instance,
+//! in which those that look another way count as twice as far.
+//!
+//! Invariants: a chart with a single valid texel is left alone ([`Canvas::fill_invalid`] serves it); light comes from the same instance and page
+//! only; the result does not depend on threads (ties go to the lower index).
+//!
+//! Class: biased, a guess. The wrong tool where the neighbourhood is lit otherwise (a crumb in the shadow of a table) and for charts of
+//! more than a few texels, which it would paint flat: give those more directions.
 
 use super::{Canvas, LEAST_VALIDITY};
 use crate::texel::Texels;

@@ -179,7 +179,7 @@ fn place_of(a: Vec3, b: Vec3) -> [u32; 6] {
 fn is_smooth(texels: &Texels, [a, b]: &Seam) -> bool {
     let normals = |side: &Side| {
         let triangle = WorldTriangle::new(texels.scene, texels.pose, side.instance, side.primitive);
-        let front = triangle.front_cross().normalize_or_zero();
+        let front = texels.normal(&triangle, side.instance, side.primitive);
         let posed = &texels.pose.instances[side.instance as usize];
         let object = texels.pose.normals(texels.scene, side.instance as usize);
         let vertices = texels.scene.meshes[posed.mesh as usize].triangles[side.primitive as usize];

@@ -1,6 +1,6 @@
 //! Rounds of bundles: what surfaces and sky send along parallel lines.
 
-use super::{Bake, Ended, Light, Report, Round, RoundKind, Subject};
+use super::{Bake, Ended, Light, Report, Round, RoundKind, Subject, Until};
 use crate::bundle::{self, Directions, Radiance, Sky};
 use crate::gather::Part;
 use crate::state::State;
@@ -11,7 +11,6 @@ use occlude_render::geometry::diffuse_albedo;
 use occlude_render::job::Job;
 use rayon::prelude::*;
 use std::f32::consts::FRAC_1_PI;
-use std::time::Instant;
 
 /// Directions between two looks at the clock and the noise.
 const DIRECTIONS_TOGETHER: u32 = 16;
@@ -22,8 +21,7 @@ impl Bake<'_> {
         &self,
         round: Round,
         state: &mut State,
-        deadline: Option<Instant>,
-        noise: Option<f64>,
+        until: Until,
         job: &Job,
         report: &mut Report,
         at_rest: &mut dyn FnMut(&State),
@@ -77,15 +75,8 @@ impl Bake<'_> {
             if job.is_cancelled() {
                 return Ended::Cancel;
             }
-            state.noise.end_batch(&state.sums);
-            at_rest(state);
-            if state.done[0] < target {
-                if deadline.is_some_and(|deadline| Instant::now() >= deadline) {
-                    return Ended::Time;
-                }
-                if noise.is_some_and(|limit| state.noise.relative_error() <= limit) {
-                    return Ended::Noise;
-                }
+            if let Some(ended) = until.end_batch(state, at_rest) {
+                return ended;
             }
         }
         Ended::Samples

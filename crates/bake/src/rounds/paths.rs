@@ -1,6 +1,6 @@
 //! Rounds of samples: paths, or direct light, from every texel and every stand-in.
 
-use super::{Bake, Ended, MOST_COUNTED, Patch, Report, Round, RoundKind};
+use super::{Bake, Ended, MOST_COUNTED, Patch, Report, Round, RoundKind, Until};
 use crate::gather::{Gatherer, Part, PathSettings, SurfaceSample, placement};
 use crate::state::State;
 use crate::sums::{Sums, Unit};
@@ -12,7 +12,6 @@ use rayon::prelude::*;
 use std::f32::consts::FRAC_1_PI;
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
-use std::time::Instant;
 
 /// Samples of a texel that a pass takes.
 const SAMPLES_TOGETHER: u32 = 16;
@@ -62,8 +61,7 @@ impl Bake<'_> {
         &self,
         round: Round,
         state: &mut State,
-        deadline: Option<Instant>,
-        noise: Option<f64>,
+        until: Until,
         job: &Job,
         report: &mut Report,
         at_rest: &mut dyn FnMut(&State),
@@ -82,7 +80,6 @@ impl Bake<'_> {
         let brightest = brightest_counted(state.sums.unit(), round.total);
 
         let mut ended = Ended::Samples;
-        let mut passes = 0;
         while state.min_done() < target {
             let end = (state.min_done() / SAMPLES_TOGETHER + 1) * SAMPLES_TOGETHER;
             let end = end.min(target);
@@ -146,18 +143,9 @@ impl Bake<'_> {
             if ended == Ended::Cancel {
                 break;
             }
-            state.noise.end_batch(&state.sums);
-            at_rest(state);
-            passes += 1;
-            if end < target {
-                if deadline.is_some_and(|deadline| Instant::now() >= deadline) {
-                    ended = Ended::Time;
-                    break;
-                }
-                if passes >= 4 && noise.is_some_and(|limit| state.noise.relative_error() <= limit) {
-                    ended = Ended::Noise;
-                    break;
-                }
+            if let Some(end) = until.end_batch(state, at_rest) {
+                ended = end;
+                break;
             }
         }
         for gatherer in gatherers
@@ -224,24 +212,27 @@ impl Bake<'_> {
     ) {
         let texels = self.subject.texels;
         let sides = self.subject.sides();
+        let is_turned = |point: Hit| texels.atlas.is_turned(point.instance, point.primitive);
         let mut push = |front: u32, point: &dyn Fn(Vec2) -> Hit| {
             for number in items.clone() {
+                let point = point(placement(settings.seed, front, number));
                 samples.push(SurfaceSample {
-                    point: point(placement(settings.seed, front, number)),
+                    point,
                     side: front,
                     number,
-                    back: false,
+                    back: is_turned(point),
                 });
             }
             let Some(back) = sides.and_then(|sides| sides.back_of(front)) else {
                 return;
             };
             for number in items.clone() {
+                let point = point(placement(settings.seed, back, number));
                 samples.push(SurfaceSample {
-                    point: point(placement(settings.seed, back, number)),
+                    point,
                     side: back,
                     number,
-                    back: true,
+                    back: !is_turned(point),
                 });
             }
         };

@@ -115,7 +115,9 @@ impl Bake<'_> {
 
     fn ray(&self, point: Hit, random: Vec2, whose: (u32, f32), rays: &mut Rays) {
         let geometry = self.subject.world.geometry;
-        let Some(surface) = surface_at(geometry, point, false) else {
+        let atlas = self.subject.texels.atlas;
+        let turned = atlas.is_turned(point.instance, point.primitive);
+        let Some(surface) = surface_at(geometry, point, turned) else {
             return;
         };
         let (x, y) = warp::basis(surface.normal);
@@ -140,7 +142,8 @@ impl Bake<'_> {
                     let world =
                         WorldTriangle::new(geometry.scene, geometry.pose, instance, primitive);
                     let front = light.triangles.front_at(instance, primitive, hit.u, hit.v);
-                    let side = if world.front_cross().dot(ray.direction) < 0.0 {
+                    let normal = self.subject.texels.normal(&world, instance, primitive);
+                    let side = if normal.dot(ray.direction) < 0.0 {
                         Some(front)
                     } else {
                         light.triangles.sides().back_of(front)

@@ -282,15 +282,24 @@ impl<'a> Texels<'a> {
         self.hit(&best.1, corners, at)
     }
 
-    /// Where the point that stands for the `i`-th texel of a band is in the world, and the triangle's normal there.
+    /// Where the point that stands for the `i`-th texel of a band is in the world, and the normal there.
     pub(crate) fn world_place(&self, band: &Band, i: usize) -> (Vec3, Vec3) {
         let hit = self.representative(band, i);
         let world = WorldTriangle::new(self.scene, self.pose, hit.instance, hit.primitive);
-        let [a, b, c] = world.corners;
         (
-            a + (b - a) * hit.u + (c - a) * hit.v,
-            world.front_cross().normalize_or_zero(),
+            world.point(hit.u, hit.v),
+            self.normal(&world, hit.instance, hit.primitive),
         )
+    }
+
+    /// The normal of a triangle on the side that is baked; zero without area.
+    pub(crate) fn normal(&self, world: &WorldTriangle, instance: u32, primitive: u32) -> Vec3 {
+        let front = world.front_cross().normalize_or_zero();
+        if self.atlas.is_turned(instance, primitive) {
+            -front
+        } else {
+            front
+        }
     }
 
     /// Square metres of the world that the `i`-th texel of a band covers.

@@ -138,10 +138,12 @@ fn outside(
         .collect()
 }
 
-/// A ray into the half space that the front of a point sees: near the normal, turned a little so that no two meet the same edge.
+/// A ray into the half space that a point sees: near the normal, turned a little so that no two meet the same edge.
 fn ray(texels: &Texels, hit: Hit, k: usize) -> Ray {
     let triangle = WorldTriangle::new(texels.scene, texels.pose, hit.instance, hit.primitive);
-    let normal = triangle.front_cross().normalize_or(Vec3::Y);
+    let normal = texels
+        .normal(&triangle, hit.instance, hit.primitive)
+        .normalize_or(Vec3::Y);
     let (x, y) = normal.any_orthonormal_pair();
     let turn = Vec2::from_angle(k as f32 * 2.399_963);
     let direction = normal + (x * turn.x + y * turn.y) * 0.37;

@@ -1,5 +1,7 @@
 //! Small scenes of rectangles, and atlases that lay every rectangle out as a square of its own.
 
+#![allow(dead_code)] // Every test binary uses a part of it.
+
 use glam::{Affine3A, UVec2, Vec2, Vec3};
 use occlude_bake::atlas::{Atlas, Layout, Page, Placement, Rectangle};
 use occlude_scene::{Instance, Material, Mesh, Node, Scene};

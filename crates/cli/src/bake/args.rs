@@ -46,6 +46,11 @@ pub struct WorkArgs {
     #[arg(long, value_name = "DIR|off", value_parser = cache::parse, help_heading = "Maps")]
     pub cache: Option<Cache>,
 
+    /// Which side of two-sided materials is baked; auto: the one that people see, by light and distance, as winding is often
+    /// arbitrary; front: the one that the winding says
+    #[arg(long, value_enum, default_value_t = SidesName::Auto, help_heading = "Maps")]
+    pub sides: SidesName,
+
     /// Bake only these nodes, by name or by index in the file; the others still block and reflect light
     #[arg(
         long,
@@ -164,6 +169,15 @@ pub enum DirectionalName {
     Sh1,
     /// The direction that most light comes from
     Dominant,
+}
+
+/// `--sides`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum SidesName {
+    /// The side that is seen
+    Auto,
+    /// The front
+    Front,
 }
 
 /// `--unwrap`.

@@ -9,10 +9,11 @@ pub use args::{BakeArgs, PlanArgs};
 use crate::context::Context;
 use crate::error::CliError;
 use crate::{VERSION, output, signals, stats};
-use args::{DirectionalName, GatherName, LightPart, WorkArgs};
+use args::{DirectionalName, GatherName, LightPart, SidesName, WorkArgs};
 use occlude_bake::atlas::{Atlas, Built};
 use occlude_bake::bundle::{self, Triangles};
-use occlude_bake::gather::Part;
+use occlude_bake::gather::{Part, PathSettings};
+use occlude_bake::orient;
 use occlude_bake::plan::Estimate;
 use occlude_bake::rounds::{
     Bake, Ended, GatherKind, MOST_COUNTED, Report, RoundKind, Settings, Stop, Subject,
@@ -32,10 +33,13 @@ use std::time::{Duration, Instant};
 use subject::Loaded;
 
 /// Unfinished work is saved this long after the last time at the earliest.
-const CHECKPOINT_PERIOD: Duration = Duration::from_secs(10);
+const CHECKPOINT_PERIOD: Duration = Duration::from_secs(1);
 
 /// Saving takes at most one part in so many of the time.
 const CHECKPOINT_SHARE: u32 = 30;
+
+/// What a disk is taken to write in a second before the first checkpoint has shown it, bytes.
+const DISK_SPEED: f64 = 2e8;
 
 /// Runs `occlude bake`.
 pub fn run(args: &BakeArgs, context: &mut Context) -> Result<(), CliError> {
@@ -79,7 +83,7 @@ fn prepared<T>(
     let mut loaded = context.phase("load", |context| Loaded::load(work, context))?;
     let originals = loaded.make_lambert();
     let pose = Pose::at(&loaded.scene, work.time);
-    let built = context.phase("unwrap", |context| {
+    let mut built = context.phase("unwrap", |context| {
         subject::atlas(work, &loaded, &pose, context)
     })?;
     if let Some(limit) = context.common.memory {
@@ -111,10 +115,12 @@ fn prepared<T>(
         }
         None => settings.entries,
     };
-    let texels = Texels::new(&loaded.scene, &pose, &built.atlas);
     let (geometry, mut triangles) = context.phase("build", |context| {
         let geometry = Geometry::new(&loaded.scene, &pose, &BuildOptions::default())
             .map_err(|error| CliError::input("cannot trace", work.scene.display(), error))?;
+        if work.sides == SidesName::Auto {
+            turn_over(work, &loaded, &pose, &geometry, &mut built.atlas, context);
+        }
         let mut triangles = (work.gather != GatherName::Path && work.light != LightPart::Ao)
             .then(|| Triangles::new(&loaded.scene, &pose, &built.atlas));
         if let Some(triangles) = &mut triangles {
@@ -124,6 +130,8 @@ fn prepared<T>(
         }
         Ok::<_, CliError>((geometry, triangles))
     })?;
+    let built = built;
+    let texels = Texels::new(&loaded.scene, &pose, &built.atlas);
     let seed = context.common.seed;
     let choices: &[GatherKind] = match (work.gather, &triangles) {
         (GatherName::Path, _) | (_, None) => &[GatherKind::Path],
@@ -220,6 +228,42 @@ fn prepared<T>(
     then(&setup, &bake, context)
 }
 
+/// Bakes the backs of two-sided surfaces whose fronts nobody sees.
+fn turn_over(
+    work: &WorkArgs,
+    loaded: &Loaded,
+    pose: &Pose,
+    geometry: &Geometry,
+    atlas: &mut Atlas,
+    context: &Context,
+) {
+    /// Light that has been reflected more often than that decides nothing.
+    const BOUNCES: u32 = 2;
+    let sky = loaded.sky(work, GatherKind::Path);
+    let lights = Lights::new(&loaded.scene, pose, sky.asked, LightSelection::Tree);
+    let world = World {
+        geometry,
+        lights: &lights,
+    };
+    let settings = PathSettings {
+        part: match work.light {
+            LightPart::Ao => Part::Occlusion,
+            _ => Part::All,
+        },
+        bounces: BOUNCES,
+        luminous: sky.luminous,
+        reach: f32::INFINITY,
+        seed: context.common.seed,
+        directional: false,
+    };
+    let turned = orient::turn_over(atlas, &world, &settings, &context.job);
+    if turned > 0 {
+        context.progress.note(&format!(
+            "{turned} charts of two-sided surfaces show their back: that is baked (--sides front: not)"
+        ));
+    }
+}
+
 /// Hierarchy and flattened scene, a triangle.
 const LEAST_BYTES_PER_TRIANGLE: u64 = 120;
 
@@ -297,7 +341,7 @@ fn gather(
         merge(bake, parts, setup.fingerprint)?
     };
     let mut report = Report::default();
-    let mut saver = Saver::new(&checkpoint);
+    let mut saver = Saver::new(&checkpoint, &state);
     context.progress.expect(args.work.time_limit);
     signals::graceful();
     let (state, ended) = context.phase("work", |context| {
@@ -664,11 +708,13 @@ struct Saver<'a> {
 }
 
 impl<'a> Saver<'a> {
-    fn new(path: &'a Path) -> Self {
+    fn new(path: &'a Path, state: &State) -> Self {
+        let bytes = State::bytes(state.header.sides, state.header.units);
+        let takes = Duration::from_secs_f64(bytes as f64 / DISK_SPEED);
         Self {
             path,
             saved: Instant::now(),
-            period: CHECKPOINT_PERIOD,
+            period: CHECKPOINT_PERIOD.max(takes * CHECKPOINT_SHARE),
         }
     }
 
@@ -747,7 +793,7 @@ fn fingerprint(
                 context.common.memory
             ),
             work.texels_per_metre,
-            (work.pages_max, work.padding, work.unwrap),
+            (work.pages_max, work.padding, work.unwrap, work.sides),
             &work.select,
             work.sky.environment_rotation,
             work.sky.environment_scale,
