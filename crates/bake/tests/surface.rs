@@ -260,7 +260,7 @@ fn seams_between_tiles_close() {
     };
     let before = mean(&canvas);
     let mut canvases = vec![(0, canvas)];
-    let stitched = stitch(&texels, &mut canvases);
+    let stitched = stitch(&texels, &mut canvases, None);
     // Four inner edges of 16 texels.
     assert!((60..=80).contains(&stitched.points), "{stitched:?}");
     assert!(
@@ -280,6 +280,43 @@ fn seams_between_tiles_close() {
             .all(|(v, c)| *c == 0 || (v[2] - 1.0).abs() < 1e-5),
         "what agrees stays"
     );
+}
+
+#[test]
+fn seams_below_a_thin_wall_stay_open() {
+    // Two floor tiles that meet below a wall of a millimetre; it ends halfway along.
+    let tile = || square(2.0, &[]);
+    let wall = block(vec3(1.9995, -0.1, -1.0), vec3(2.0005, 1.0, 1.0));
+    let scene = scene(vec![
+        ("left", tile(), Vec3::ZERO),
+        ("right", tile(), Vec3::X * 2.0),
+        ("wall", wall, Vec3::ZERO),
+    ]);
+    let (pose, built) = build(&scene, 8.0, 4096).unwrap();
+    let texels = Texels::new(&scene, &pose, &built.atlas);
+    let geometry = Geometry::new(&scene, &pose, &BuildOptions::default()).unwrap();
+    let covered = covered(&scene, &pose, &texels);
+    let mut canvas = Canvas::new(&texels, 0);
+    // Bright on the left, dark on the right.
+    for (value, covered) in canvas.values.iter_mut().zip(&covered) {
+        *value = [f32::from(u8::from(covered.is_some_and(|c| c.1 == 0))); 3];
+    }
+    let mut canvases = vec![(0, canvas)];
+    let stitched = stitch(&texels, &mut canvases, Some(&geometry));
+    // 16 texels of seam, and half of them stand free.
+    assert!((7..=9).contains(&stitched.points), "{stitched:?}");
+    let (mut behind, mut beyond) = (0.0_f32, 0.0_f32);
+    for (value, covered) in canvases[0].1.values.iter().zip(&covered) {
+        if let Some((_, 1, place)) = covered {
+            let light = if place.z < 0.8 {
+                &mut behind
+            } else {
+                &mut beyond
+            };
+            *light = light.max(value[0]);
+        }
+    }
+    assert!(behind < 0.02 && beyond > 0.3, "{behind} {beyond}");
 }
 
 /// Light is 1 outside of a box that stands in the floor, and 0 inside.

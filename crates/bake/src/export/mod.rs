@@ -214,7 +214,7 @@ pub fn write(
             canvases.push((page, canvas));
         }
         if settings.stitch {
-            let stitched = stitch(texels, &mut canvases);
+            let stitched = stitch(texels, &mut canvases, insides.map(|i| i.geometry));
             exported.stitched = merged(exported.stitched, stitched);
         }
         for (page, canvas) in canvases {

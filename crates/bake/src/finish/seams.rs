@@ -4,13 +4,15 @@
 //! squares of the differences, and of all changes weighted by a small number, are minimised by conjugate gradients (Iwanicki 2013, "Lighting
 //! Technology of The Last of Us"). Seams between objects count as those inside of one: edges are matched by their place in the world.
 //!
-//! Edges that meet with a corner between (a T-junction), or with a crease, are left alone.
+//! Edges that meet with a corner between (a T-junction), or with a crease, are left alone, and so are stretches where something stands on the seam:
+//! floor tiles that meet below a thin wall have nothing to agree on, and light would leak through it.
 
 use super::Canvas;
 use crate::atlas::unwrap::neighbours;
 use crate::texel::Texels;
 use glam::{Vec2, Vec3};
-use occlude_render::geometry::WorldTriangle;
+use occlude_render::geometry::{Geometry, WorldTriangle};
+use occlude_visibility::{Ray, Tracer};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
@@ -46,8 +48,13 @@ pub struct Stitched {
     pub after: f64,
 }
 
-/// Closes the seams whose two sides lie on the given pages. `canvases` are pages and their numbers, in ascending order.
-pub fn stitch(texels: &Texels, canvases: &mut [(u32, Canvas)]) -> Stitched {
+/// Closes the seams whose two sides lie on the given pages. `canvases` are pages and their numbers, in ascending order. With `geometry` points of a seam
+/// whose two sides do not see each other are left out.
+pub fn stitch(
+    texels: &Texels,
+    canvases: &mut [(u32, Canvas)],
+    geometry: Option<&Geometry>,
+) -> Stitched {
     let mut starts = BTreeMap::new();
     let mut count = 0_usize;
     for (page, canvas) in canvases.iter() {
@@ -57,7 +64,7 @@ pub fn stitch(texels: &Texels, canvases: &mut [(u32, Canvas)]) -> Stitched {
     let seams = seams(texels);
     let rows: Vec<Row> = seams
         .par_iter()
-        .flat_map_iter(|seam| rows(texels, &starts, seam))
+        .flat_map_iter(|seam| rows(texels, &starts, seam, geometry))
         .collect();
     if rows.is_empty() {
         return Stitched::default();
@@ -207,7 +214,12 @@ struct Row {
 }
 
 /// Points along a seam, one a texel of its longer side.
-fn rows(texels: &Texels, starts: &BTreeMap<u32, (usize, u32, u32)>, [a, b]: &Seam) -> Vec<Row> {
+fn rows(
+    texels: &Texels,
+    starts: &BTreeMap<u32, (usize, u32, u32)>,
+    [a, b]: &Seam,
+    geometry: Option<&Geometry>,
+) -> Vec<Row> {
     let on_page = |side: &Side| {
         let (page, corners) = texels.atlas.triangle(side.instance, side.primitive)?;
         let start = starts.get(&page)?;
@@ -255,7 +267,47 @@ fn rows(texels: &Texels, starts: &BTreeMap<u32, (usize, u32, u32)>, [a, b]: &Sea
         row.weights[4..].copy_from_slice(&wb.map(|w| -w));
         row
     };
-    (0..points).map(row).collect()
+    let size = a0.distance(a1).max(1e-6);
+    let [from, to] = [a, b].map(|side| Beside::new(texels, side, size));
+    let is_free = |i: u32| {
+        let t = (i as f32 + 0.5) / points as f32;
+        geometry.is_none_or(|geometry| {
+            let (from, to) = (from.at(t), to.at(1.0 - t));
+            !geometry.occluded(&Ray::between(from, to))
+        })
+    };
+    (0..points).filter(|&i| is_free(i)).map(row).collect()
+}
+
+/// Points half a texel beside an edge, a quarter of a texel above the surface.
+struct Beside {
+    start: Vec3,
+    along: Vec3,
+    off: Vec3,
+}
+
+impl Beside {
+    /// `texels_long`: length of the edge in texels.
+    fn new(texels: &Texels, side: &Side, texels_long: f32) -> Self {
+        let triangle = WorldTriangle::new(texels.scene, texels.pose, side.instance, side.primitive);
+        let [start, end] = ends(texels, *side);
+        let along = end - start;
+        let inwards = triangle.corners[(side.k as usize + 2) % 3] - start;
+        let inwards = inwards - along * (inwards.dot(along) / along.length_squared().max(1e-30));
+        let texel = along.length() / texels_long;
+        let normal = texels.normal(&triangle, side.instance, side.primitive);
+        // Not beyond the triangle.
+        let beside = inwards.clamp_length_max(0.5 * texel);
+        Self {
+            start,
+            along,
+            off: beside + normal * (0.5 * beside.length()),
+        }
+    }
+
+    fn at(&self, t: f32) -> Vec3 {
+        self.start + self.along * t + self.off
+    }
 }
 
 /// The least squares problem over the texels that seams touch.
