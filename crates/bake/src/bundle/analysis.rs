@@ -9,7 +9,6 @@
 //! of the scene's projected area. Maps are integers, so that the order of triangles does not matter.
 
 use super::frame::Frame;
-use super::radiance::hash;
 use super::raster::{Isa, high, low, multiversion};
 use super::triangles::{LANES, Triangles};
 use rayon::prelude::*;
@@ -125,10 +124,7 @@ impl Maps {
             }
             if counting == Counting::Area {
                 // The whole area where the middle is: half a pixel off at most.
-                let middle = |c: [f32; 3]| ((c[0] + c[1] + c[2]) * (1.0 / 3.0)) as i32;
-                // Rounded by the middle's own chance, or the many triangles below 1/512 pixel would vanish.
-                let chance = (x[0] * 61.8 + y[1] * 75.4).abs().fract();
-                let parts = (0.5 * area.abs() * FRACTION + chance) as u32;
+                let parts = (0.5 * area.abs() * FRACTION + chance(x, y)) as u32;
                 if parts > 0 {
                     let pixel = middle(y).min(last) * (last + 1) + middle(x).min(last);
                     counts[pixel as usize] += parts;
@@ -244,6 +240,19 @@ impl Maps {
     }
 }
 
+/// The pixel of a triangle's middle.
+#[inline(always)]
+fn middle(c: [f32; 3]) -> i32 {
+    ((c[0] + c[1] + c[2]) * (1.0 / 3.0)) as i32
+}
+
+/// What decides whether parts are rounded up, or the many triangles below 1/512 pixel would vanish: in `[0, 1)`.
+#[inline(always)]
+fn chance(x: [f32; 3], y: [f32; 3]) -> f32 {
+    let mixed = (x[0] * 61.8 + y[1] * 75.4).abs();
+    mixed - mixed.trunc()
+}
+
 multiversion! {
     fn render(
         maps: &Maps,
@@ -255,7 +264,10 @@ multiversion! {
     ) = render_lanes
 }
 
-/// Blocks of sixteen triangles; those that lie on four pixels mark them once for all.
+/// Sixteen triangles that lie on fewer pixels than this, across and down, mark all of them at once; each counts where its middle is.
+const NEAR: i32 = 4;
+
+/// Blocks of sixteen triangles; those that lie on a few pixels mark them once for all.
 #[inline(always)]
 fn render_lanes(
     maps: &Maps,
@@ -291,8 +303,8 @@ fn render_lanes(
             box_low[axis] = (lows[0] as i32).clamp(0, last);
             box_high[axis] = (highs[0] as i32).clamp(0, last);
         }
-        let together = (0..2).all(|axis| box_high[axis] - box_low[axis] <= 1);
-        if together && counting == Counting::Area {
+        let wide = (0..2).fold(0, |wide, axis| wide.max(box_high[axis] - box_low[axis]));
+        if wide < NEAR && counting == Counting::Area {
             let need = importance.iter().fold(0.0, |a, &b| high(a, b));
             if need > 0.0 {
                 for row in box_low[1]..=box_high[1] {
@@ -301,24 +313,19 @@ fn render_lanes(
                     }
                 }
             }
-            let mut areas = [0.0; LANES];
-            for lane in 0..count {
+            let mut parts = [0.0; LANES];
+            let mut pixels = [0; LANES];
+            for lane in 0..LANES {
                 let x = [window[0][lane], window[1][lane], window[2][lane]];
                 let y = [window[3][lane], window[4][lane], window[5][lane]];
                 let area = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0]);
-                areas[lane] = area.abs();
+                parts[lane] = 0.5 * FRACTION * area.abs() + chance(x, y);
+                pixels[lane] = middle(y).min(last) * (last + 1) + middle(x).min(last);
             }
-            let area = 0.5 * areas.iter().sum::<f32>();
-            // A quarter to each of four pixels, or all to one; rounded by chance.
-            let chance = (hash(number as u32) >> 8) as f32 / (1 << 24) as f32;
-            let cells = (1 + box_high[0] - box_low[0]) * (1 + box_high[1] - box_low[1]);
-            let parts = (area * FRACTION / cells as f32 + chance) as u32;
-            if parts > 0 {
-                for row in box_low[1]..=box_high[1] {
-                    for column in box_low[0]..=box_high[0] {
-                        let pixel = (row * (last + 1) + column) as usize;
-                        counts[pixel] += parts;
-                    }
+            for lane in 0..count {
+                let parts = parts[lane] as u32;
+                if parts > 0 {
+                    counts[pixels[lane] as usize] += parts;
                 }
             }
             continue;
