@@ -141,7 +141,7 @@ fn compare(
         factor: REFERENCE_FACTOR,
         ..Settings::default()
     };
-    let (reference, ..) = gather(&finer, 1, 3 * directions);
+    let (reference, .., coverable) = gather(&finer, 1, 3 * directions);
     let square = |e: f32| f64::from(e) * f64::from(e);
     let lit = reference.iter().filter(|&&e| e > 0.0).count().max(1) as f64;
     let energy = reference.iter().map(|&e| square(e)).sum::<f64>() / lit;
@@ -188,7 +188,7 @@ fn compare(
                 format!("{:.2}", stats.lines as f64 / stats.directions as f64 / 1e6),
                 format!("{:.0}", seconds * 1e3),
                 format!("{:.2e} %", 100.0 * stats.overflow_left as f64 / nodes),
-                format!("{:.1} %", 100.0 * known as f64 / lit),
+                format!("{:.1} %", 100.0 * known as f64 / coverable as f64),
                 format!("{error:.2e}"),
             ],
         );

@@ -5,13 +5,13 @@
 //! nothing: half of the walls of a flat then turn their front to the masonry, and a tap its to the water. So every chart
 //! of a two-sided material is turned over if its front is not what people see:
 //!
-//! 1. the scene's cameras see its back ([`SEEN`]) and not its front; of what they do not see, if
-//! 2. hardly any light arrives at the front ([`NONE`]), or
-//! 3. little light arrives there ([`LITTLE`]), and it looks at something near ([`NEAR`]) while the back looks into a room.
+//! 1. the scene's cameras see its back at least four times as often as its front; of what they do not see, if
+//! 2. less than a thousandth of the light at the back arrives at the front, or
+//! 3. less than a tenth of it does, and what the front looks at is less than a quarter as far away as what the back does.
 //!
 //! No paper. Rays that leave the scene say nothing about distance: the void behind an outer wall is no room.
 //!
-//! Invariants: whole charts are turned, so no texel mixes sides; nothing but [`Layout::turned`] changes, so files keep their
+//! Invariants: whole charts are turned, so no texel mixes sides; nothing but `Layout::turned` changes, so files keep their
 //! winding; the result depends on scene, lights and seed alone.
 //!
 //! Class: a guess. The wrong tool for single sheets that are seen from both sides in different light (a curtain, a wall between two rooms
