@@ -24,7 +24,7 @@ fn by_records(cache: &Cache, reader: &mut RecordsReader, rays: &[(Site, Vec3)]) 
         let mut aims = [None; TOGETHER];
         let mut texels = [0; TOGETHER];
         for (k, (&(site, direction), aim)) in rays.iter().zip(&mut aims).enumerate() {
-            let nearby = cache.nearby(reader, site.position, site.normal);
+            let nearby = cache.nearby(site.position, site.normal);
             let random = (k as f32 * 0.618).fract();
             *aim = cache.aim(reader, &nearby, direction, random, 1.0);
         }

@@ -122,8 +122,9 @@ impl RecordsOptions {
             "lookup" => {
                 self.lookup = Some(match value {
                     "snap" => Lookup::Snap,
+                    "plane" => Lookup::Plane,
                     "march" => Lookup::March,
-                    _ => return Err(format!("{value:?}: there are snap and march")),
+                    _ => return Err(format!("{value:?}: there are snap, plane and march")),
                 });
             }
             "near" => {

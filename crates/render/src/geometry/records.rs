@@ -50,7 +50,7 @@ impl Geometry<'_> {
         let sharp = || bsdf.is_delta() || bsdf.split().sharp_share > MOSTLY_SHARP;
         Seen {
             distance: hit.t,
-            normal: surface.shading_normal(),
+            normal: surface.normal,
             albedo: bsdf.albedo(),
             trace: material.unlit || is_pane(material) || parameters.reaches_below() || sharp(),
         }

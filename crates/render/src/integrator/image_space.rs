@@ -14,7 +14,7 @@
 //! those of path tracing on average. (Tested.)
 
 use super::path::{
-    self, Path, Pending, ROULETTE_AFTER, SETS_PER_SEGMENT, Scattering, power_heuristic,
+    self, Leaving, Path, Pending, ROULETTE_AFTER, SETS_PER_SEGMENT, Scattering, power_heuristic,
 };
 use super::{PathLimits, World};
 use crate::geometry::Geometry;
@@ -135,9 +135,7 @@ impl Secondary {
     pub(super) fn pass_done(&mut self, geometry: &Geometry) {
         if let Some(cache) = self.cache_mut() {
             cache.end_pass();
-            for _ in 0..cache.settings().pace {
-                cache.refine(geometry);
-            }
+            cache.refine_after(geometry, cache.settings().pace);
         }
     }
 
@@ -226,10 +224,12 @@ pub(super) fn advance(
     space.looks.clear();
     let cached = std::mem::take(&mut scratch.cached);
     for &index in &cached {
-        let path = &scratch.paths[index as usize];
-        let (position, normal) = (path.ray.origin, path.leaving.unwrap_or(path.ray.direction));
-        let nearby = cache.nearby(&mut space.reader, position, normal);
-        look(cache, scratch, space, index, &nearby);
+        let path = &mut scratch.paths[index as usize];
+        let Some(Leaving { normal, random }) = path.leaving.take() else {
+            continue;
+        };
+        let nearby = cache.nearby(path.ray.origin, normal);
+        look(cache, scratch, space, index, &nearby, random);
     }
     scratch.cached = cached;
     std::mem::swap(&mut space.looks, &mut space.next);
@@ -261,12 +261,11 @@ fn look(
     space: &mut Scratch,
     index: u32,
     nearby: &Nearby,
+    random: f32,
 ) {
-    let path = &mut scratch.paths[index as usize];
-    let [.., random] = path.sampler.next();
+    let path = &scratch.paths[index as usize];
     let weight = 1.0 / path.depth.max(1) as f32;
     let direction = path.ray.direction;
-    path.leaving = None;
     space.counts.asked += 1;
     match cache.aim(&mut space.reader, nearby, direction, random, weight) {
         Some(aim) => space.next.push(Look {
@@ -339,7 +338,7 @@ fn arrive(
         let way = Ray::between(path.ray.origin, surface.position);
         path.throughput *= world.geometry.pane_transmittance(&way);
     }
-    let nearby = cache.nearby(&mut space.reader, surface.position, surface.normal);
+    let nearby = cache.nearby(surface.position, surface.normal);
     let mut ask = |path: &Path, query: Query, end: SegmentEnd, contribution: Vec3, random: f32| {
         let weight = 1.0 / (path.depth + 1) as f32;
         let from = surface.position;
@@ -351,28 +350,28 @@ fn arrive(
             contribution,
         });
     };
-    if scatter(world, limits, path, &surface, &mut ask) {
-        self::look(cache, scratch, space, look.path, &nearby);
+    if let Some(random) = scatter(world, limits, path, &surface, &mut ask) {
+        self::look(cache, scratch, space, look.path, &nearby, random);
     }
 }
 
-/// A vertex that scatters like a Lambert surface: asks for light, and turns the path. Returns whether it goes on.
+/// A vertex that scatters like a Lambert surface: asks for light, and turns the path. If it goes on, returns a random number for the
+/// choice of who is to be asked.
 fn scatter(
     world: &World,
     limits: PathLimits,
     path: &mut Path,
     surface: &CachedSurface,
     ask: &mut impl FnMut(&Path, Query, SegmentEnd, Vec3, f32),
-) -> bool {
+) -> Option<f32> {
     if path.depth >= limits.max_depth {
-        return false;
+        return None;
     }
     let (normal, albedo) = (surface.normal, surface.albedo);
     path.sampler
         .jump(1 + (path.depth + path.panes) * SETS_PER_SEGMENT);
     let [u, v, pick, roulette] = path.sampler.next();
-    let mut turn = path.sampler;
-    let [s, t, random, _] = turn.next();
+    let [s, t, _, random] = path.sampler.next();
     // Off the surface, as far as its place is uncertain.
     let origin = surface.position + normal * (0.5 * surface.footprint);
     let scene = world.geometry.scene;
@@ -416,7 +415,6 @@ fn scatter(
         light_normal: normal,
         pdf: local.z * FRAC_1_PI,
     });
-    path.leaving = Some(normal);
     path.found = true;
     path.throughput *= albedo;
     if path.depth >= ROULETTE_AFTER {
@@ -424,15 +422,15 @@ fn scatter(
             .min(1.0)
             .sqrt();
         if roulette >= survival {
-            return false;
+            return None;
         }
         path.throughput /= survival;
     }
     if path.throughput.max_element() <= 0.0 || !path.throughput.is_finite() {
-        return false;
+        return None;
     }
     path.ray = Ray::new(origin, direction);
-    local.z > 0.0
+    (local.z > 0.0).then_some(random)
 }
 
 /// Adds what light samples bring, by their records; the others are asked of the visibility strategy.

@@ -46,8 +46,8 @@ pub(super) struct Path {
     /// The last scattering event, for weighing what its direction finds against light sampling. `None` at the camera and
     /// after mirrors, which light sampling cannot find.
     pub(super) last: Option<Scattering>,
-    /// Records are to say where the ray goes, from the last scattering event with this normal on the side that the ray leaves.
-    pub(super) leaving: Option<Vec3>,
+    /// Records are to say where the ray goes.
+    pub(super) leaving: Option<Leaving>,
     /// Light sampling at the last event has found the surfaces that shine along the ray already, with a weight of 1.
     pub(super) found: bool,
     /// Density per steradian around the ray (per square metre across it, if `parallel`) of all paths of the picture, one a
@@ -67,6 +67,15 @@ pub(super) struct Path {
     /// Absorption per metre of what the ray is in.
     absorption: Vec3,
     features: Features,
+}
+
+/// How a ray leaves a scattering event behind which records say where it goes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Leaving {
+    /// The geometric normal on the side that the ray leaves.
+    pub(super) normal: Vec3,
+    /// A random number for the choice of a record, that no other decision of the path uses.
+    pub(super) random: f32,
 }
 
 /// A scattering event that light sampling could have found.
@@ -513,7 +522,7 @@ fn shade_hit(
         }
     }
 
-    let [u, v, lobe, _] = path.sampler.next();
+    let [u, v, lobe, spare] = path.sampler.next();
     let Some(sample) = bsdf.sample(wo, lobe, Vec2::new(u, v)) else {
         return false;
     };
@@ -526,7 +535,10 @@ fn shade_hit(
     let passed = sample.passed && is_pane;
     if !passed {
         path.found = !sample.delta && by_records(sample.pdf);
-        path.leaving = path.found.then(|| surface.normal * side.signum());
+        path.leaving = path.found.then(|| Leaving {
+            normal: surface.normal * side.signum(),
+            random: spare,
+        });
     }
     if passed {
         path.panes += 1;

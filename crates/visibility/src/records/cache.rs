@@ -1,7 +1,8 @@
 //! The cache: records, what they are worth, and how they move.
 
+use super::cells::{Cells, Change, Choice};
 use super::map::{self, DistanceTracer, Map, Site, Stand};
-use super::neighbours::{self, Change, Choice, Finder, Index, Links, NEIGHBOURS, NOBODY};
+use super::neighbours::{self, Index, Links, NEIGHBOURS, NOBODY};
 use super::paraboloid::{Layout, UNKNOWN};
 use super::refine::StepTimes;
 use super::settings::{RecordSettings, RecordsError};
@@ -12,9 +13,6 @@ use std::time::{Duration, Instant};
 
 /// Units of use that a whole weight of 1 counts.
 pub const WHOLE_USE: u32 = 1 << 16;
-
-/// Changes that workers can follow.
-const HISTORY: usize = 512;
 
 /// Random numbers: SplitMix64.
 #[derive(Clone, Debug)]
@@ -114,8 +112,8 @@ pub struct Cache {
     pub(super) index: Index,
     /// Distance that initial records keep from each other.
     pub(super) spacing: f32,
+    cells: Cells,
     version: u64,
-    history: Vec<Change>,
     pub(super) random: Random,
     pub(super) report: RecordsReport,
 }
@@ -133,8 +131,8 @@ impl Cache {
             uses: Vec::new(),
             index: Index::default(),
             spacing: diameter,
+            cells: Cells::new(settings.capacity),
             version: 0,
-            history: Vec::new(),
             random: Random(settings.seed ^ 0x7265_636f_7264_7321),
             report: RecordsReport {
                 capacity: settings.capacity,
@@ -196,17 +194,13 @@ impl Cache {
         self.settings.contact * parallax.max(self.spacing)
     }
 
-    pub(super) fn follow(&self, finder: &mut Finder) {
-        finder.follow(self.version, &self.history, self.cell());
-    }
-
-    /// The records that answer for a place; see [`Self::follow`].
-    pub(super) fn choose(&self, finder: &mut Finder, position: Vec3, normal: Vec3) -> Choice {
+    /// The records that answer for a place.
+    pub(super) fn choose(&self, position: Vec3, normal: Vec3) -> Choice {
         if self.is_empty() {
             return Choice::NONE;
         }
-        let (cell, falloff) = (self.cell(), self.settings.falloff);
-        let choice = finder.choose(&self.index, &self.stands, falloff, cell, position, normal);
+        let falloff = self.settings.falloff;
+        let choice = (self.cells).choose(&self.index, &self.stands, falloff, position, normal);
         let near = |id: u32| {
             id != NOBODY && self.stands[id as usize].site.position.distance(position) < self.reach()
         };
@@ -224,10 +218,17 @@ impl Cache {
 
     pub(super) fn changed(&mut self, id: u32, removed: bool, added: Option<Vec3>) {
         self.version += 1;
-        if self.history.len() == HISTORY {
-            self.history.drain(..HISTORY / 2);
-        }
-        self.history.push(Change { id, removed, added });
+        self.cells.changed(Change { id, removed, added });
+    }
+
+    /// Forgets what cells know of records that have gone. Else finding records takes far longer.
+    pub(super) fn freshen(&mut self) {
+        self.cells.freshen();
+    }
+
+    fn changed_altogether(&mut self) {
+        self.version += 1;
+        self.cells.clear(self.cell());
     }
 
     /// The initial distribution (section 3.1): records at the vertices of camera paths, those too near to others left out. The
@@ -285,7 +286,7 @@ impl Cache {
             }
             self.push(stand, map, 1.0);
         }
-        self.version += 1 + HISTORY as u64;
+        self.changed_altogether();
         for id in 0..self.len() as u32 {
             self.link(id);
         }
@@ -370,10 +371,9 @@ impl Cache {
 
     /// Use by places that stand for the questions to come.
     pub fn pilot(&mut self, sites: &[PathSite]) {
-        let mut finder = Finder::default();
-        self.follow(&mut finder);
+        self.freshen();
         for place in sites {
-            let choice = self.choose(&mut finder, place.site.position, place.site.normal);
+            let choice = self.choose(place.site.position, place.site.normal);
             for (&id, weight) in choice.ids.iter().zip(choice.weights) {
                 if id != NOBODY {
                     let uses = place.weight * weight * WHOLE_USE as f32;
@@ -412,7 +412,7 @@ impl Cache {
         for (&id, map) in stale.iter().zip(maps) {
             self.slots[id].map = map;
         }
-        self.version += 1 + HISTORY as u64;
+        self.changed_altogether();
         for id in 0..self.len() as u32 {
             self.link(id);
         }

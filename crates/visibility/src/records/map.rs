@@ -21,7 +21,7 @@ pub struct Site {
 pub struct Seen {
     /// Distance in units of the scene for a direction of unit length; infinite: nothing is met.
     pub distance: f32,
-    /// Unit normal on the side that is seen.
+    /// Unit geometric normal on the side that is seen.
     pub normal: Vec3,
     /// Share of light that the surface reflects, by channel, 0 to 1.
     pub albedo: Vec3,

@@ -3,7 +3,7 @@
 //! Ulbrich, Novák, Rehfeld, Dachsbacher 2013, "Progressive Visibility Caching for Fast Indirect Illumination". A record stands on a
 //! surface and knows how far it is to what it sees, texel by texel of a paraboloid map (`paraboloid`, `map`). It answers for its
 //! neighbourhood: *segments* ("do these two points see each other?", for virtual lights: `many`) and *rays* ("what does this
-//! point see along that direction?", for paths: `rays`). Records near a place are found by Eq. 2 (`neighbours`).
+//! point see along that direction?", for paths: `rays`). Records near a place are found by Eq. 2 (`neighbours`, `cells`).
 //!
 //! Records start along camera paths and are refined step by step (`cache`, `refine`): the least important gives way to a new one near the
 //! most important, where importance weighs how little a record agrees with its neighbours against how often it is used (Eq. 1).
@@ -16,6 +16,8 @@
 //! error must have a bound.
 
 mod cache;
+mod cells;
+mod kernel;
 mod many;
 mod map;
 mod neighbours;
@@ -53,7 +55,6 @@ pub struct Records {
 #[derive(Debug, Default)]
 pub struct RecordsWorker {
     exact: ExactWorker,
-    reader: RecordsReader,
     scratch: many::Scratch,
     stats: VisibilityStats,
     epoch: u64,
@@ -126,16 +127,12 @@ impl<T: DistanceTracer> Visibility<T> for Records {
             return Exact.answer_many(tracer, &mut worker.exact, eyes, lights, asker);
         }
         let RecordsWorker {
-            reader,
             scratch,
             stats,
             epoch,
             ..
         } = worker;
-        cache.begin_reading(reader);
-        many::answer(
-            &cache, tracer, reader, scratch, stats, eyes, lights, asker, *epoch,
-        );
+        many::answer(&cache, tracer, scratch, stats, eyes, lights, asker, *epoch);
     }
 
     fn prepare(&self, tracer: &T, lights: &[SharedLight], scout: &mut dyn Scout) {
@@ -169,9 +166,7 @@ impl<T: DistanceTracer> Visibility<T> for Records {
     fn pass_done(&self, tracer: &T) {
         let mut cache = self.cache_mut();
         cache.end_pass();
-        for _ in 0..self.pace {
-            cache.refine(tracer);
-        }
+        cache.refine_after(tracer, self.pace);
     }
 
     fn stats(&self, worker: &RecordsWorker) -> VisibilityStats {

@@ -8,7 +8,7 @@
 
 use super::map::Stand;
 use super::settings::Falloff;
-use glam::{IVec3, Vec3};
+use glam::Vec3;
 use rstar::RTree;
 use rstar::primitives::GeomWithData;
 
@@ -18,19 +18,11 @@ const LOOKED_AT: usize = 24;
 /// Neighbours of a record (section 5).
 pub(super) const NEIGHBOURS: usize = 4;
 
-/// Records that are remembered of a cell.
-const REMEMBERED: usize = 16;
-
-/// The nearest of them to a place, whose weights are compared.
-const COMPARED: usize = 6;
-
 /// No record.
 pub(super) const NOBODY: u32 = u32::MAX;
 
-/// The same in 16 bits; a cache holds fewer records.
-const NOBODY_16: u16 = u16::MAX;
-
 /// `acos`, up to 7e-5 (Abramowitz & Stegun 4.4.45); the same bits on every machine.
+#[inline(always)]
 fn acos(x: f32) -> f32 {
     let a = x.abs().min(1.0);
     let root = (1.0 - a).sqrt();
@@ -43,7 +35,7 @@ fn acos(x: f32) -> f32 {
 }
 
 /// Eq. 2 for a place with normal `normal` and a record at `offset` from it whose normal is `other`.
-#[inline]
+#[inline(always)]
 pub(super) fn weight(falloff: Falloff, normal: Vec3, other: Vec3, offset: Vec3, d_max: f32) -> f32 {
     let angular = 1.0 - acos(normal.dot(other)) * std::f32::consts::FRAC_1_PI;
     let distance = offset.length();
@@ -142,191 +134,6 @@ pub(super) fn links(
         enter(&mut links, (id, w));
     }
     (links, d_max)
-}
-
-/// Up to three records that answer for a place, the best first; weights add up to 1.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Choice {
-    pub(super) ids: [u32; 3],
-    pub(super) weights: [f32; 3],
-}
-
-impl Choice {
-    pub(super) const NONE: Self = Self {
-        ids: [NOBODY; 3],
-        weights: [0.0; 3],
-    };
-}
-
-/// What a worker remembers of the records near a cell of space and a side of surfaces.
-#[derive(Clone, Copy, Debug)]
-struct Near {
-    key: (IVec3, u32),
-    ids: [u16; REMEMBERED],
-    /// Farthest of them from the cell's middle; infinite if there are no more.
-    reach: f32,
-}
-
-/// Finds the records of many places that lie near each other: what is known of a cell is a pure function of the cell and of the
-/// records, so that it does not matter who asked for it before.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Finder {
-    near: Vec<Near>,
-    version: u64,
-}
-
-/// Cells that a [`Finder`] remembers.
-const CELLS: usize = 1 << 16;
-
-/// Records that are visited in search of those of a cell.
-const VISITED: usize = 64;
-
-/// A change of the records.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Change {
-    pub(super) id: u32,
-    /// Where a record has been taken away.
-    pub(super) removed: bool,
-    /// Where one has been added.
-    pub(super) added: Option<Vec3>,
-}
-
-fn hash(key: (IVec3, u32)) -> usize {
-    let mut h = u64::from(key.1);
-    for c in key.0.to_array() {
-        h = (h ^ u64::from(c.cast_unsigned())).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-        h ^= h >> 29;
-    }
-    (h >> 20) as usize % CELLS
-}
-
-/// The axis that a normal is nearest to.
-fn side(normal: Vec3) -> u32 {
-    let a = normal.abs();
-    let axis = if a.x >= a.y && a.x >= a.z {
-        0
-    } else if a.y >= a.z {
-        1
-    } else {
-        2
-    };
-    2 * axis as u32 + u32::from(normal[axis] < 0.0)
-}
-
-/// Whether a record with this normal may serve a side.
-fn serves(side: u32, normal: Vec3) -> bool {
-    let along = normal[(side / 2) as usize];
-    (if side % 2 == 1 { -along } else { along }) > -0.25
-}
-
-impl Finder {
-    /// Takes note of what has changed since the last question. `history` holds the latest changes; `version` counts them all.
-    pub(super) fn follow(&mut self, version: u64, history: &[Change], cell: f32) {
-        if self.near.is_empty() {
-            let nothing = Near {
-                key: (IVec3::ZERO, NOBODY),
-                ids: [NOBODY_16; REMEMBERED],
-                reach: 0.0,
-            };
-            self.near = vec![nothing; CELLS];
-        } else if self.version != version {
-            let new = (version - self.version) as usize;
-            if new > history.len() || new > 256 {
-                self.near.iter_mut().for_each(|near| near.key.1 = NOBODY);
-            } else {
-                for near in &mut self.near {
-                    let middle = (near.key.0.as_vec3() + 0.5) * cell;
-                    let changed = |change: &Change| {
-                        change.removed && near.ids.contains(&(change.id as u16))
-                            || (change.added).is_some_and(|p| p.distance(middle) <= near.reach)
-                    };
-                    if history[history.len() - new..].iter().any(changed) {
-                        near.key.1 = NOBODY;
-                    }
-                }
-            }
-        }
-        self.version = version;
-    }
-
-    /// The records that answer for a place.
-    pub(super) fn choose(
-        &mut self,
-        index: &Index,
-        stands: &[Stand],
-        falloff: Falloff,
-        cell: f32,
-        position: Vec3,
-        normal: Vec3,
-    ) -> Choice {
-        let key = ((position / cell).floor().as_ivec3(), side(normal));
-        let slot = &mut self.near[hash(key)];
-        if slot.key != key {
-            *slot = look_around(index, stands, cell, key);
-        }
-        let near = *slot;
-        let d_max = if near.reach.is_finite() {
-            near.reach + cell
-        } else {
-            let far = |&id: &u16| stands[usize::from(id)].site.position.distance(position);
-            let known = near.ids.iter().filter(|&&id| id != NOBODY_16);
-            1.25 * known.map(far).fold(cell, f32::max)
-        };
-        let mut nearest = [(NOBODY, f32::INFINITY); COMPARED];
-        for &id in &near.ids {
-            if id == NOBODY_16 {
-                break;
-            }
-            let there = &stands[usize::from(id)].site;
-            let distance2 = there.position.distance_squared(position);
-            if there.normal.dot(normal) <= 0.0 || distance2 >= nearest[COMPARED - 1].1 {
-                continue;
-            }
-            let mut k = COMPARED - 1;
-            while k > 0 && nearest[k - 1].1 > distance2 {
-                nearest[k] = nearest[k - 1];
-                k -= 1;
-            }
-            nearest[k] = (u32::from(id), distance2);
-        }
-        let mut best = [(NOBODY, 0.0); 3];
-        for &(id, _) in nearest.iter().take_while(|near| near.0 != NOBODY) {
-            let there = &stands[id as usize].site;
-            let offset = there.position - position;
-            let w = weight(falloff, normal, there.normal, offset, d_max);
-            enter(&mut best, (id, w));
-        }
-        let sum = best[0].1 + best[1].1 + best[2].1;
-        if sum.is_nan() || sum <= 0.0 {
-            return Choice::NONE;
-        }
-        Choice {
-            ids: best.map(|(id, _)| id),
-            weights: best.map(|(_, w)| w / sum),
-        }
-    }
-}
-
-/// The records near the middle of a cell that look to its side.
-fn look_around(index: &Index, stands: &[Stand], cell: f32, key: (IVec3, u32)) -> Near {
-    let middle = (key.0.as_vec3() + 0.5) * cell;
-    let mut near = Near {
-        key,
-        ids: [NOBODY_16; REMEMBERED],
-        reach: f32::INFINITY,
-    };
-    let mut count = 0;
-    for (visited, (id, distance)) in index.nearest(middle).enumerate() {
-        if serves(key.1, stands[id as usize].site.normal) {
-            near.ids[count] = id as u16;
-            count += 1;
-        }
-        if count == REMEMBERED || visited + 1 == VISITED {
-            near.reach = distance;
-            break;
-        }
-    }
-    near
 }
 
 #[cfg(test)]

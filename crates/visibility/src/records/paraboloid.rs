@@ -135,11 +135,15 @@ impl Layout {
         row * self.resolution + column
     }
 
-    /// The middle of a texel in the disk.
+    /// How much a surface at `p` with this normal, both in the record's frame, faces the direction of a texel's middle: a dot product, as
+    /// numerator and denominator; and the texel's footprint at `p`.
     #[inline(always)]
-    pub(super) fn middle(&self, texel: u32) -> [f32; 2] {
+    pub(super) fn facing(&self, texel: u32, normal: Vec3, p: Vec3) -> ([f32; 2], f32) {
         let at = |i: u32| (i as f32 + 0.5) * self.width() - 1.0;
-        [at(texel % self.resolution), at(texel / self.resolution)]
+        let (s, t) = (at(texel % self.resolution), at(texel / self.resolution));
+        let r2 = s * s + t * t;
+        let there = 2.0 * (s * normal.x + t * normal.y) + normal.z * (1.0 - r2);
+        ([there, 1.0 + r2], self.width() * (p.length() + p.z))
     }
 
     /// Width of a texel in the disk.

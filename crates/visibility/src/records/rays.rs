@@ -1,12 +1,14 @@
 //! What a place sees along a direction, and whether it sees another place: single questions, as paths ask them.
 //!
 //! Snapping takes the question to a record: a ray starts there, with its own direction; a segment starts there and ends where it ended.
+//! With planes, the true ray is cut with the plane of what the record sees along its direction.
 //! Marching follows the true ray and asks the record about points on it: the first that lies behind what the record sees is a hit
 //! (Ulbrich 2013, section 6).
 
 use super::cache::{Cache, WHOLE_USE};
+use super::cells::Choice;
 use super::map::{Map, Texel};
-use super::neighbours::{Choice, Finder, NOBODY};
+use super::neighbours::NOBODY;
 use super::paraboloid::{SKY, UNKNOWN};
 use super::settings::{Lookup, Select};
 use glam::Vec3;
@@ -22,6 +24,11 @@ const HALF_DIAGONAL: f32 = 0.75;
 
 /// Tolerances grow with the slant of what is seen, up to this.
 const MOST_SLANT: f32 = 6.0;
+
+/// Cosine of the slant up to which a surface's plane is taken to go on, and how much nearer or farther a ray may meet it than the
+/// record's own. Else it is snapped.
+const FLATTEST: f32 = 0.05;
+const STRETCH: std::ops::Range<f32> = 0.5..2.0;
 
 /// How uneven a surface may be within a texel, in footprints: against shadows of surfaces on themselves.
 const UNEVEN: f32 = 0.1;
@@ -61,10 +68,9 @@ pub enum SegmentEnd {
     Direction(Vec3),
 }
 
-/// What one worker keeps between questions: which records stand near the places that it was asked about, and how often they were used.
+/// What one worker keeps between questions: how often records were used.
 #[derive(Clone, Debug, Default)]
 pub struct RecordsReader {
-    pub(super) finder: Finder,
     uses: Vec<u64>,
 }
 
@@ -96,9 +102,8 @@ impl Nearby {
 }
 
 impl Cache {
-    /// Tells a reader that records may have changed: to be called before the first question after a pass.
+    /// Makes a reader ready to count: to be called before the first question after a pass.
     pub fn begin_reading(&self, reader: &mut RecordsReader) {
-        self.follow(&mut reader.finder);
         reader.uses.resize(self.len(), 0);
     }
 
@@ -113,8 +118,8 @@ impl Cache {
     }
 
     /// The records that answer for a place.
-    pub fn nearby(&self, reader: &mut RecordsReader, position: Vec3, normal: Vec3) -> Nearby {
-        Nearby(self.choose(&mut reader.finder, position, normal))
+    pub fn nearby(&self, position: Vec3, normal: Vec3) -> Nearby {
+        Nearby(self.choose(position, normal))
     }
 
     /// The record that a ray question along a unit vector goes to: `random` (0 to 1) chooses among three. Its use counts `weight`.
@@ -221,7 +226,19 @@ impl Cache {
                 if distance < 0.25 * self.settings.contact * parallax {
                     return RayAnswer::Unknown;
                 }
-                surface(texel, stand.site.position + direction * distance, distance)
+                let seen = stand.site.position + direction * distance;
+                if self.settings.lookup == Lookup::Snap {
+                    return surface(texel, seen, distance);
+                }
+                let normal = texel.normal();
+                let facing = normal.dot(direction);
+                let along = normal.dot(seen - position) / facing;
+                let goes_on = facing < -FLATTEST && STRETCH.contains(&(along / distance));
+                if goes_on {
+                    surface(texel, position + direction * along, along)
+                } else {
+                    surface(texel, seen, distance)
+                }
             }
         }
     }
@@ -339,17 +356,15 @@ impl Cache {
             return None;
         }
         let (length, width) = (offset.length(), self.layout.width());
-        let least = match normal {
-            Some(normal) => least_distance(
-                stand.local(offset).to_array(),
-                length,
-                stand.local(normal).to_array(),
-                self.layout.middle(segment.aim.texel),
-                width,
-            ),
-            None => length - HALF_DIAGONAL * width * (length + z),
-        };
-        Some(self.layout.scale.decode(code) >= least)
+        let held = self.layout.scale.decode(code);
+        Some(match normal {
+            Some(normal) => {
+                let (p, n) = (stand.local(offset), stand.local(normal));
+                let (there, footprint) = self.layout.facing(segment.aim.texel, n, p);
+                shows(held, length, n.dot(p), there, footprint)
+            }
+            None => held >= length - HALF_DIAGONAL * width * (length + z),
+        })
     }
 
     /// Whether nothing that the record sees lies in front of points of a segment.
@@ -381,30 +396,23 @@ impl Cache {
     }
 }
 
-/// The distance that a texel must hold at least for its record to see a point `p` on a surface, all in the record's frame: that of the
-/// surface's plane along the direction of the texel's middle (a place in the disk), since there the map was traced. A tolerance of
-/// half a footprint instead, over the cosine, lets light through whatever lies that near in front of a slanted surface.
+/// Whether a texel that holds the distance `held` shows a point on a surface at distance `length`: what it holds must be no less than the
+/// distance of the surface's plane along the direction of the texel's middle, since there the map was traced. A tolerance of half a
+/// footprint instead, over the cosine, lets light through whatever lies that near in front of a slanted surface.
 ///
-/// Where the surface is not as flat as its plane: never more than the point's own distance `length`, and no less than that tolerance says.
+/// `here` is the dot product of the surface's normal and the vector to the point, `there` that with the direction of the middle, as a
+/// fraction (see [`Layout::facing`](super::paraboloid::Layout::facing)).
+/// Where the surface is not as flat as its plane: what is no nearer than the point itself is enough, and nothing nearer by more than that
+/// tolerance is.
 #[inline(always)]
-pub(super) fn least_distance(
-    p: [f32; 3],
-    length: f32,
-    normal: [f32; 3],
-    middle: [f32; 2],
-    width: f32,
-) -> f32 {
-    let [s, t] = middle;
-    let r2 = s * s + t * t;
-    let here = normal[0] * p[0] + normal[1] * p[1] + normal[2] * p[2];
-    let there = (2.0 * (normal[0] * s + normal[1] * t) + normal[2] * (1.0 - r2)) / (1.0 + r2);
-    let plane = here / there;
-    // Behind the record, or nowhere.
-    let plane = if plane > 0.0 { plane } else { length };
-    let footprint = width * (length + p[2]);
-    let slope = here.abs().max(length * (1.0 / MOST_SLANT));
-    let most = HALF_DIAGONAL * footprint * length / slope;
-    plane.min(length).max(length - most) - UNEVEN * footprint
+pub(super) fn shows(held: f32, length: f32, here: f32, there: [f32; 2], footprint: f32) -> bool {
+    let held = held + UNEVEN * footprint;
+    let (steep, least) = (here.abs(), length * (1.0 / MOST_SLANT));
+    let slope = if steep > least { steep } else { least };
+    let within = (length - held) * slope <= HALF_DIAGONAL * footprint * length;
+    // The plane's distance is the quotient, if it is positive: else it lies behind the record, or nowhere.
+    let behind_plane = here * there[0] > 0.0 && held * there[0].abs() >= here.abs() * there[1];
+    (held >= length) | (within & behind_plane)
 }
 
 /// One of three records, among those that are valid.

@@ -132,6 +132,15 @@ impl Cache {
             }
             self.refine(tracer);
         }
+        self.freshen();
+    }
+
+    /// Takes `steps` steps behind a pass.
+    pub fn refine_after<T: DistanceTracer>(&mut self, tracer: &T, steps: u32) {
+        for _ in 0..steps {
+            self.refine(tracer);
+        }
+        self.freshen();
     }
 
     /// One step (section 3.3): a new record near the most important one, in place of the least important one if there is no room.

@@ -16,8 +16,11 @@ pub enum Select {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Lookup {
     /// As if the ray started at the record (Ulbrich 2013, section 4).
-    #[default]
     Snap,
+    /// The same, but the ray that starts at the place is cut with the plane of what the record sees: where a surface goes on as flat as it
+    /// is there the answer is as exact as distances are kept. Segments are answered as by snapping.
+    #[default]
+    Plane,
     /// Step by step along the true ray, until it is behind what the record sees (section 6).
     March,
 }
@@ -168,7 +171,7 @@ impl std::fmt::Display for RecordsError {
 impl std::error::Error for RecordsError {}
 
 /// Bytes of bookkeeping a record, beside its texels.
-pub(super) const BOOKKEEPING: u64 = 512;
+pub(super) const BOOKKEEPING: u64 = 512 + super::cells::BYTES_A_RECORD;
 
 impl RecordSettings {
     /// Bytes of one record.

@@ -45,7 +45,7 @@ pub(super) fn advance_exactly(world: &World, limits: PathLimits, scratch: &mut p
                     contribution,
                 });
             };
-            if !scatter(world, limits, path, &surface, &mut ask) {
+            if scatter(world, limits, path, &surface, &mut ask).is_none() {
                 break;
             }
         }
