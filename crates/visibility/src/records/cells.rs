@@ -23,7 +23,7 @@ const VISITED: usize = 64;
 const PROBES: usize = 8;
 
 /// Cells in the table, for every record that there may be, and at most.
-const CELLS_A_RECORD: usize = 16;
+const CELLS_A_RECORD: usize = 48;
 const MOST_CELLS: usize = 1 << 18;
 
 /// No record; a cache holds fewer than can be numbered.
@@ -178,7 +178,7 @@ fn hash(key: Key) -> u64 {
         h = (h ^ u64::from(c.cast_unsigned())).wrapping_mul(0x9e37_79b9_7f4a_7c15);
         h ^= h >> 29;
     }
-    h >> 20
+    (h.wrapping_mul(0xbf58_476d_1ce4_e5b9)) >> 40
 }
 
 /// The axis that a normal is nearest to.
