@@ -161,7 +161,8 @@ pub struct RenderArgs {
     pub guarantee: Option<GuaranteeName>,
 
     /// With --integrator path: records[:NAME=VALUE,...] find where paths go on instead of rays, from=1|2 (the first or the second scattering
-    /// event) on; further options as for --visibility records (a preview: surfaces in the records are matt, errors are as large as texels)
+    /// event) on; further options as for --visibility records, with resolution=64 (a preview: surfaces in the records are matt, errors are as
+    /// large as texels)
     #[arg(long, value_name = "ANSWER", value_parser = records::secondary, help_heading = "Work")]
     pub secondary: Option<RecordsOptions>,
 

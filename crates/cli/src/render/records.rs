@@ -29,6 +29,10 @@ const SHARE: f64 = 0.2;
 /// Records that are placed at least.
 const LEAST: f64 = 128.0;
 
+/// Texels along the side of maps for paths: what they keep of surfaces takes four times as long to find as distances alone, and at their
+/// distances from each other records are no worse for it.
+const PATH_RESOLUTION: u32 = 64;
+
 /// Length of near-field rays where the user says `near=on`, in units of what records are uncertain by.
 const NEAR: f32 = 1.0;
 
@@ -219,7 +223,10 @@ impl RecordsOptions {
     ) -> Result<Secondary, CliError> {
         // About two rays a path.
         let worth = 2.0 * work.samples() * SHARE / RAYS_A_RECORD;
-        let settings = self.settings(context, scene, pose, work.film_bytes(), worth);
+        let settings = RecordSettings {
+            resolution: self.resolution.unwrap_or(PATH_RESOLUTION),
+            ..self.settings(context, scene, pose, work.film_bytes(), worth)
+        };
         Secondary::new(settings, self.from.unwrap_or(1))
             .map_err(|error| refused(&error, "--secondary records"))
     }

@@ -26,9 +26,9 @@ const HALF_DIAGONAL: f32 = 0.75;
 const MOST_SLANT: f32 = 6.0;
 
 /// Cosine of the slant up to which a surface's plane is taken to go on, and how much nearer or farther a ray may meet it than the
-/// record's own. Else it is snapped.
+/// record's own. Else the record has nothing to say.
 const FLATTEST: f32 = 0.05;
-const STRETCH: std::ops::Range<f32> = 0.5..2.0;
+const STRETCH: std::ops::Range<f32> = 0.6..1.5;
 
 /// How uneven a surface may be within a texel, in footprints: against shadows of surfaces on themselves.
 const UNEVEN: f32 = 0.1;
@@ -222,22 +222,29 @@ impl Cache {
             SKY => RayAnswer::Sky,
             code => {
                 let distance = self.layout.scale.decode(code);
+                let contact = self.settings.contact;
                 let parallax = stand.site.position.distance(position);
-                if distance < 0.25 * self.settings.contact * parallax {
-                    return RayAnswer::Unknown;
-                }
                 let seen = stand.site.position + direction * distance;
+                let snapped = || {
+                    if distance < 0.25 * contact * parallax {
+                        RayAnswer::Unknown
+                    } else {
+                        surface(texel, seen, distance)
+                    }
+                };
                 if self.settings.lookup == Lookup::Snap {
-                    return surface(texel, seen, distance);
+                    return snapped();
                 }
                 let normal = texel.normal();
                 let facing = normal.dot(direction);
                 let along = normal.dot(seen - position) / facing;
                 let goes_on = facing < -FLATTEST && STRETCH.contains(&(along / distance));
-                if goes_on {
+                if goes_on && distance >= 0.125 * contact * parallax {
                     surface(texel, position + direction * along, along)
+                } else if contact > 0.0 {
+                    RayAnswer::Unknown
                 } else {
-                    surface(texel, seen, distance)
+                    snapped()
                 }
             }
         }

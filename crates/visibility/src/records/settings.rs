@@ -71,7 +71,8 @@ pub struct RecordSettings {
     /// How.
     pub lookup: Lookup,
     /// Questions about what is near are traced whole: segments shorter than this many times the distance between the light and its
-    /// record, and rays that a record answers with a distance shorter than that between the place and itself. There the record sees
+    /// record, and rays that a record answers with a distance shorter than a quarter of that many times the one between the place and itself
+    /// (an eighth with planes, but then those, too, whose plane is met far from where the record meets it). There the record sees
     /// something else than the place does. 0: none are.
     pub contact: f32,
     /// Length of the exact rays at either end, in units of what a record's answer is uncertain by there: the distance between
