@@ -22,9 +22,9 @@ use std::path::Path;
 const STEPS_PER_RECORD: f32 = 0.25;
 
 /// Questions that cost as much to trace as a record to fill, and the share of all that may be spent on filling before the first pass.
-const RAYS_A_RECORD: f64 = 8e3;
-const SHADOW_RAYS_A_RECORD: f64 = 4e4;
-const SHARE: f64 = 0.2;
+const RAYS_A_RECORD: f64 = 4e3;
+const SHADOW_RAYS_A_RECORD: f64 = 1e5;
+const SHARE: f64 = 0.1;
 
 /// Records that are placed at least.
 const LEAST: f64 = 128.0;
