@@ -154,8 +154,10 @@ fn frames(setting: &Setting, plan: &Plan, report: &mut Report, measured: &Measur
         plan.repetitions.min(2),
         || stage.shoot(&Exact, &task),
         || {
+            // As many as pay: filling 4000 takes longer than tracing the frame.
             let settings = RecordSettings {
-                steps: plan.count / 2,
+                capacity: plan.count / 4,
+                steps: plan.count / 16,
                 ..settings(stage, plan, false)
             };
             let records = Records::new(settings).expect("legal settings");

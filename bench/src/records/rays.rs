@@ -111,10 +111,12 @@ pub fn run(
         single_passes: false,
     };
     for from in [1, 2] {
-        let steps = plan.count / 2;
+        // As many as pay, and as coarse as the command has them for paths.
         let records = || {
             let settings = RecordSettings {
-                steps,
+                capacity: plan.count / 8,
+                steps: plan.count / 32,
+                resolution: 64,
                 ..settings(stage, plan, true)
             };
             Secondary::new(settings, from).expect("legal settings")
