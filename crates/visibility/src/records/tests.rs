@@ -402,10 +402,10 @@ fn bad_choices_are_refused() {
         ..settings(100)
     };
     let error = refused(limited.clone());
-    assert!(error.contains("count=9 is the largest"), "{error}");
+    assert!(error.contains("count=6 is the largest"), "{error}");
     assert!(
         Cache::new(RecordSettings {
-            capacity: 9,
+            capacity: 6,
             ..limited
         })
         .is_ok()
