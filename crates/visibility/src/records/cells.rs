@@ -1,9 +1,9 @@
 //! Who answers for a place: cells of space that know the records near them.
 //!
 //! All threads share the cells. What a cell knows is a pure function of the cell and of the records, so it does not matter who asked first;
-//! a cell is filled once, by the tree of records, and forgotten when a record near it comes or goes. A place takes the best by Eq. 2 of
-//! the [`REMEMBERED`] records nearest to the middle of its cell, all of them weighed at once (compiled for AVX2, too, with the
-//! same results to the bit).
+//! a cell is filled once, by the tree of records, and forgotten when a record near it comes or goes. A place takes, of the
+//! [`REMEMBERED`] records nearest to the middle of its cell, the [`COMPARED`] nearest to itself, and of these the best by Eq. 2: all at
+//! once (compiled for AVX2, too, with the same results to the bit).
 //!
 //! The wrong tool where records stand far closer together than cells are wide: a cell then knows those around its middle alone.
 
@@ -15,6 +15,9 @@ use std::sync::OnceLock;
 
 /// Records that are remembered of a cell.
 const REMEMBERED: usize = 16;
+
+/// The nearest of them to a place, whose weights are compared.
+const COMPARED: u32 = 6;
 
 /// Records that are visited in search of them.
 const VISITED: usize = 64;
@@ -256,12 +259,29 @@ fn weigh_here(
             other[c][k] = facing[c];
         }
     }
+    // How far those are that look to the place's side, and how many of them are nearer.
+    let mut apart = [f32::INFINITY; REMEMBERED];
+    for k in 0..REMEMBERED {
+        let distance2: f32 = (0..3).map(|c| offset[c][k] * offset[c][k]).sum();
+        let cosine: f32 = (0..3).map(|c| other[c][k] * normal[c]).sum();
+        apart[k] = if cosine > 0.0 {
+            distance2
+        } else {
+            f32::INFINITY
+        };
+    }
+    let mut nearer = [0u32; REMEMBERED];
+    for other in apart {
+        for k in 0..REMEMBERED {
+            nearer[k] += u32::from(other < apart[k]);
+        }
+    }
     let mut keys = [0; REMEMBERED];
     for k in 0..REMEMBERED {
         let offset = Vec3::new(offset[0][k], offset[1][k], offset[2][k]);
         let other = Vec3::new(other[0][k], other[1][k], other[2][k]);
         let w = weight(falloff, normal, other, offset, near.d_max);
-        let counts = normal.dot(other) > 0.0 && w > 0.0;
+        let counts = apart[k] < f32::INFINITY && nearer[k] < COMPARED && w > 0.0;
         let bits = (w.to_bits() & !15) | (REMEMBERED - 1 - k) as u32;
         keys[k] = if counts { bits } else { 0 };
     }

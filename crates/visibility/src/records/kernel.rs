@@ -116,15 +116,14 @@ pub(super) struct Agreement {
 /// What records together say about eyes that are not too near to the light.
 #[inline(always)]
 fn agree(pack: &Pack, asked: u16, verdicts: [Verdict; 3], light: Vec3, reach2: f32) -> Agreement {
-    let mut near = [false; WIDE];
-    for k in 0..WIDE {
+    let near = std::array::from_fn(|k| {
         let d = [
             pack.position[0][k] - light.x,
             pack.position[1][k] - light.y,
             pack.position[2][k] - light.z,
         ];
-        near[k] = d[0] * d[0] + d[1] * d[1] + d[2] * d[2] < reach2;
-    }
+        d[0] * d[0] + d[1] * d[1] + d[2] * d[2] < reach2
+    });
     let [a, b, c] = verdicts;
     let known = (a.known | b.known | c.known) & asked & !bits(near);
     Agreement {
