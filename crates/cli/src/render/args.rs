@@ -150,7 +150,7 @@ pub struct RenderArgs {
     /// it saves rays, and seldom time.
     /// records[:NAME=VALUE,...] (with --integrator instant-radiosity): distance maps near the virtual lights answer. Their options: count=4000 (at most; of these, as
     /// many are placed at first as the work is worth, or initial=N, or all of a count that is given), resolution=128, alpha=0.6 (0: records go where visibility changes, 1: where they are used), steps=auto|N (of refinement before the first
-    /// pass), pace=1 (after each), frame-steps=32 (before each further frame), select=nearest|probable, lookup=plane|snap|march,
+    /// pass), pace=1 (after each), frame-steps=32 (before each further frame), select=nearest|probable, lookup=snap|plane|march,
     /// near=auto|off|on|LENGTH (auto: questions shorter than records are apart are traced;
     /// on, LENGTH: and short rays at both ends, in units of what a record is uncertain by)
     #[arg(long, value_name = "STRATEGY", value_parser = strategy::strategy, default_value = "exact", help_heading = "Work")]

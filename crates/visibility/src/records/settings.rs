@@ -16,10 +16,11 @@ pub enum Select {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Lookup {
     /// As if the ray started at the record (Ulbrich 2013, section 4).
+    #[default]
     Snap,
     /// The same, but the ray that starts at the place is cut with the plane of what the record sees: where a surface goes on as flat as it
     /// is there the answer is as exact as distances are kept. Segments are answered as by snapping.
-    #[default]
+    /// Where surfaces end, planes go on behind other surfaces, and what is found there is dark: a few per cent of the light of a small room.
     Plane,
     /// Step by step along the true ray, until it is behind what the record sees (section 6).
     March,
