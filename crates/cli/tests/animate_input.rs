@@ -2,6 +2,7 @@
 
 mod util;
 
+use occlude_image::{Look, Picture};
 use serde_json::{Value, json};
 use util::Dir;
 
@@ -182,6 +183,34 @@ fn skies_of_one_pixel_and_without_bounds() {
             assert!(bright > 100, "{bright}");
         }
     }
+}
+
+/// Pixels of a sky that are no finite numbers count as black, and that is said; the picture is that of the sky without them.
+#[test]
+fn skies_with_an_infinity() {
+    let dir = folder();
+    write(&dir, "good", &[0.0, 1.0], |_, _| ());
+    let mut sky = Picture {
+        width: 8,
+        height: 4,
+        pixels: vec![[0.5, 0.6, 0.7]; 32],
+    };
+    let mut shot = |hole: [f32; 3]| {
+        sky.pixels[9] = hole;
+        occlude_image::write(&dir.path("sky.exr"), &sky, Look::default()).unwrap();
+        let command = animate("good").replace("one.hdr", "sky.exr");
+        let run = dir.must(&command.replace(" --quiet", ""));
+        (run.stderr, pixels(&dir, "good_1.exr"))
+    };
+    let (said, black) = shot([0.0; 3]);
+    assert!(!said.contains("finite"), "{said}");
+    let (said, holed) = shot([f32::INFINITY, f32::NAN, f32::NEG_INFINITY]);
+    assert!(
+        said.contains("1 pixels were not finite and count as black: sky.exr"),
+        "{said}"
+    );
+    assert!(holed.iter().flatten().all(|v| v.is_finite()));
+    assert!(holed == black);
 }
 
 #[test]

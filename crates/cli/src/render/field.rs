@@ -47,6 +47,10 @@ pub struct FieldArgs {
     #[arg(long, help_heading = "Work")]
     pub exact_lamps: bool,
 
+    /// Fields: lobes that a glossy reflection is made of, 1 to 3: more have longer tails and take longer
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=3), help_heading = "Work")]
+    pub gloss_lobes: u32,
+
     /// Fields: one bounce of diffuse light by N virtual lights, gathered at the sample points
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(..=65_536), help_heading = "Work")]
     pub bounce: u32,
@@ -122,6 +126,7 @@ impl FieldArgs {
             packed: self.packed,
             cells: self.cells,
             lamps: !self.exact_lamps,
+            gloss_lobes: self.gloss_lobes,
             bounce: self.bounce,
             contact: self.contact,
             ..usual

@@ -15,8 +15,8 @@ const BLOCKS: usize = 16;
 const SUM_OF_FREE: f32 = 4.0;
 
 /// Real orthonormal spherical harmonics of bands 0 to 3.
-#[inline]
-fn basis(w: Vec3) -> Harmonics {
+#[inline(always)]
+pub(super) fn basis(w: Vec3) -> Harmonics {
     let Vec3 { x, y, z } = w;
     let (xx, yy, zz) = (x * x, y * y, z * z);
     [

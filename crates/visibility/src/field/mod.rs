@@ -4,8 +4,8 @@
 //! points on the surfaces get a map of the directions that are free ([`MapSampler`]: one bit a texel, rays at its boundaries alone),
 //! turned into the signed angle to the nearest boundary ([`DistanceTransform`], exact and linear in the texels). Distances can be
 //! interpolated where bits cannot: between two points a shadow edge moves instead of fading. Light and reflection are
-//! spherical Gaussians ([`SphericalGaussian`]), and what of one is visible follows from the distance at its centre ([`VisibleShare`]) or from an
-//! integral over cells of the field ([`visible_integral`]).
+//! spherical Gaussians ([`SphericalGaussian`]), and what of one is visible follows from the distance at its centre ([`VisibleShare`]), of a
+//! broad one from harmonics ([`BroadShare`]), or from an integral over cells of the field ([`visible_integral`]).
 //!
 //! * [`Hemisphere`]: the directions above a point as a square, [`VisibilityMap`], [`DistanceField`];
 //! * [`harmonics`] and [`visibility_error`]: where points are needed (Eq. 7);
@@ -14,6 +14,7 @@
 //! Wrong tool: light from near by (a map does not know how far its occluders are; trace rays to lamps), mirrors (a texel is 1.4 degrees wide
 //! at 128 texels), and points that are used once (a map costs a thousand rays or more).
 
+mod broad;
 mod cells;
 mod distance;
 mod gaussian;
@@ -27,6 +28,7 @@ mod transform;
 #[cfg(test)]
 mod tests;
 
+pub use broad::{BroadShare, bands_at_eight};
 pub use cells::{Distances, Weight, visible_integral};
 pub use distance::DistanceField;
 pub use gaussian::{SphericalGaussian, VisibleShare};

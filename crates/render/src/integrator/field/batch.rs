@@ -5,7 +5,7 @@
 //! ([`Anchors`]), and everything else (products of lobes, shares, albedos) is theirs alone, so that textures stay as sharp as they are.
 //!
 //! A product of a lobe of the sky and one of the surface lies on the arc between them, nearer to the narrower. Where roughness differs within the tile, distances
-//! are read at several places of the arc.
+//! are read at several places of the arc. Of broad products not distances are read but harmonics of what points see ([`BroadShare`]), which cost next to nothing.
 //!
 //! Distances change by no more than the direction does, and weights of sample points slowly, so that the error is bounded by how far a pixel is
 //! from what its anchors predict: its place, its normal, and the axis of its reflection in widths of the lobe. Pixels that are not as
@@ -17,7 +17,7 @@ use super::math::{asin, exp, wide};
 use super::points::{Near, Points};
 use super::sky::{Sky, WIDE, bend};
 use glam::Vec3;
-use occlude_visibility::field::VisibleShare;
+use occlude_visibility::field::{BroadShare, Harmonics, VisibleShare, bands_at_eight};
 
 /// Pixels of a batch.
 pub(super) const ITEMS: usize = 64;
@@ -46,6 +46,8 @@ struct Layer {
     sharpness: Column,
     /// Amplitude times albedo, by colour; black where a pixel has no such lobe, or is shaded by itself.
     amplitude: [Column; 3],
+    /// What the sky beside its lobes brings, were nothing in the way.
+    rest: [Column; 3],
     weight: Column,
     /// Of the product with every lobe of the sky: sharpness and integral.
     length: Vec<Column>,
@@ -58,6 +60,7 @@ impl Default for Layer {
             axis: [[0.0; ITEMS], [1.0; ITEMS], [0.0; ITEMS]],
             sharpness: [1.0; ITEMS],
             amplitude: [[0.0; ITEMS]; 3],
+            rest: [[0.0; ITEMS]; 3],
             weight: [0.0; ITEMS],
             length: Vec::new(),
             value: Vec::new(),
@@ -77,6 +80,7 @@ pub(super) struct Anchors {
     seen: Vec<[f32; ANCHORS]>,
     light: [Near; ANCHORS],
     lamps: [Distances; ANCHORS],
+    harmonics: [Harmonics; ANCHORS],
     /// Width of a pixel at a distance of 1, and at 0.
     pixel: [f32; 2],
 }
@@ -96,6 +100,9 @@ pub(super) struct Batch {
     slots: Vec<Slot>,
     /// Distances by slot and anchor.
     distances: Vec<[f32; ANCHORS]>,
+    /// Directions that harmonics are asked for, and what their bands say by anchor.
+    broad_slots: Vec<Slot>,
+    bands: Vec<[[f32; ANCHORS]; 4]>,
     plans: Vec<Plan>,
     radiance: [Column; 3],
 }
@@ -108,12 +115,15 @@ struct Slot {
     along: f32,
 }
 
-/// The product of a layer and a lobe of the sky.
+/// The product of a layer and a lobe of the sky, or the layer and what the sky has beside its lobes.
 #[derive(Clone, Copy, Debug)]
 struct Plan {
     layer: usize,
-    lobe: usize,
-    slot: usize,
+    lobe: Option<usize>,
+    /// First of the slots, where some products are narrow enough for distances.
+    slot: Option<usize>,
+    /// First of the broad slots, where some are broad enough for harmonics.
+    broad: Option<usize>,
     nodes: usize,
     first: f32,
     /// Nodes an `along`.
@@ -132,6 +142,8 @@ impl Default for Batch {
             used: 0,
             slots: Vec::new(),
             distances: Vec::new(),
+            broad_slots: Vec::new(),
+            bands: Vec::new(),
             plans: Vec::new(),
             radiance: [[0.0; ITEMS]; 3],
         }
@@ -183,6 +195,7 @@ impl Anchors {
         self.seen.resize(lobes, [0.0; ANCHORS]);
         self.light = Default::default();
         self.lamps = Default::default();
+        self.harmonics = Default::default();
         for (anchor, near) in self.near.iter().enumerate() {
             if self.eyes[anchor].is_none() {
                 continue;
@@ -192,6 +205,9 @@ impl Anchors {
                 self.light[anchor].add(&point.near, weight);
                 for (sum, distance) in self.lamps[anchor].iter_mut().zip(&point.lamps) {
                     *sum += distance * weight;
+                }
+                for (sum, c) in self.harmonics[anchor].iter_mut().zip(&point.harmonics) {
+                    *sum += c * weight;
                 }
                 for (sum, value) in self.seen.iter_mut().zip(&point.seen) {
                     sum[anchor] += value * weight;
@@ -296,20 +312,21 @@ impl Batch {
         item
     }
 
-    /// Adds a glossy lobe of a pixel: its `layer`-th.
+    /// Adds a glossy lobe of a pixel: its `layer`-th. `rest` is what a lobe of amplitude 1 would see of the sky beside its lobes, were nothing in the way.
     pub(super) fn gloss(
         &mut self,
         item: usize,
         layer: usize,
         axis: Vec3,
         sharpness: f32,
-        amplitude: Vec3,
+        [amplitude, rest]: [Vec3; 2],
     ) {
         while self.used <= layer {
             if self.layers.len() == self.used {
                 self.layers.push(Layer::default());
             } else {
-                self.layers[self.used].amplitude = [[0.0; ITEMS]; 3];
+                let layer = &mut self.layers[self.used];
+                (layer.amplitude, layer.rest) = ([[0.0; ITEMS]; 3], [[0.0; ITEMS]; 3]);
             }
             self.used += 1;
         }
@@ -317,6 +334,7 @@ impl Batch {
         set(&mut layer.axis, item, axis);
         layer.sharpness[item] = sharpness;
         set(&mut layer.amplitude, item, amplitude);
+        set(&mut layer.rest, item, rest * amplitude);
     }
 
     /// Radiance towards the eye of every pixel.
@@ -330,9 +348,14 @@ impl Batch {
         for layer in &mut *layers {
             products(layer, sky, self.len, &mut light);
         }
-        self.plans.clear();
-        self.slots.clear();
+        let mut plans = Plans {
+            plans: &mut self.plans,
+            slots: &mut self.slots,
+            broad_slots: &mut self.broad_slots,
+        };
+        plans.clear();
         for (number, layer) in layers.iter_mut().enumerate() {
+            plans.rest(number, layer, &light[..self.len]);
             for (item, weight) in layer.weight.iter_mut().enumerate() {
                 *weight = if *weight > 0.0 {
                     *weight / light[item]
@@ -340,15 +363,7 @@ impl Batch {
                     0.0
                 };
             }
-            plan(
-                number,
-                layer,
-                sky,
-                anchors,
-                self.len,
-                &mut self.plans,
-                &mut self.slots,
-            );
+            plans.products(number, layer, sky, anchors, self.len);
         }
         read(self, points, sky, anchors);
         for index in 0..self.plans.len() {
@@ -500,97 +515,150 @@ fn products(layer: &mut Layer, sky: &Sky, len: usize, light: &mut Column) {
 }
 }
 
-/// Decides which products of a layer matter, and where on their arcs distances are read.
-fn plan(
-    number: usize,
-    layer: &Layer,
-    sky: &Sky,
-    anchors: &Anchors,
-    len: usize,
-    plans: &mut Vec<Plan>,
-    slots: &mut Vec<Slot>,
-) {
-    let Some(middle) = (0..ANCHORS).find(|&anchor| anchors.eyes[anchor].is_some()) else {
-        return;
-    };
-    for lobe in 0..sky.len() {
-        let bright: f32 = sky.amplitude.iter().map(|column| column[lobe]).sum();
-        if bright == 0.0 {
-            continue;
-        }
-        let other = sky.sharpness[lobe];
-        let (mut least, mut most) = (f32::INFINITY, 0.0_f32);
-        let items = layer.value[lobe]
-            .iter()
-            .zip(&layer.weight)
-            .zip(&layer.sharpness);
-        for ((value, weight), &sharpness) in items.take(len) {
-            if value * bright * weight > NEGLIGIBLE {
-                least = least.min(sharpness);
-                most = most.max(sharpness);
+/// What is to be added, and where visibility is asked about for it.
+struct Plans<'a> {
+    plans: &'a mut Vec<Plan>,
+    slots: &'a mut Vec<Slot>,
+    broad_slots: &'a mut Vec<Slot>,
+}
+
+impl Plans<'_> {
+    fn clear(&mut self) {
+        self.plans.clear();
+        self.slots.clear();
+        self.broad_slots.clear();
+    }
+
+    /// Plans what the sky has beside its lobes, if it matters in a layer.
+    fn rest(&mut self, number: usize, layer: &Layer, light: &[f32]) {
+        let mut ends = [f32::INFINITY, 0.0];
+        for (item, light) in light.iter().enumerate() {
+            let rest: f32 = layer.rest.iter().map(|column| column[item].abs()).sum();
+            if rest > NEGLIGIBLE * light {
+                ends = [
+                    ends[0].min(layer.sharpness[item]),
+                    ends[1].max(layer.sharpness[item]),
+                ];
             }
         }
-        if least > most {
-            continue;
-        }
-        let (first, last) = (other / (most + other), other / (least + other));
-        let towards = sky.lobe(lobe).axis;
-        let turn = anchors.axis[middle].dot(towards).clamp(-1.0, 1.0).acos();
-        let widths = turn * (last - first) * (0.5 * (least + most) + other).sqrt();
-        let nodes = if widths < 0.25 * NODE_STEP {
-            1
-        } else {
-            (2 + (widths / NODE_STEP) as usize).min(MOST_NODES)
+        self.add(number, None, ends, (0.0, 0.0), 1);
+    }
+
+    /// Decides which products of a layer matter, and where on their arcs visibility is read.
+    fn products(&mut self, number: usize, layer: &Layer, sky: &Sky, anchors: &Anchors, len: usize) {
+        let Some(middle) = (0..ANCHORS).find(|&anchor| anchors.eyes[anchor].is_some()) else {
+            return;
         };
-        plans.push(Plan {
-            layer: number,
+        for lobe in 0..sky.len() {
+            let bright: f32 = sky.amplitude.iter().map(|column| column[lobe]).sum();
+            if bright == 0.0 {
+                continue;
+            }
+            let other = sky.sharpness[lobe];
+            let (mut least, mut most) = (f32::INFINITY, 0.0_f32);
+            let mut ends = [f32::INFINITY, 0.0];
+            for item in 0..len {
+                if layer.value[lobe][item] * bright * layer.weight[item] > NEGLIGIBLE {
+                    let (own, length) = (layer.sharpness[item], layer.length[lobe][item]);
+                    (least, most) = (least.min(own), most.max(own));
+                    ends = [ends[0].min(length), ends[1].max(length)];
+                }
+            }
+            if least > most {
+                continue;
+            }
+            let (first, last) = (other / (most + other), other / (least + other));
+            let towards = sky.lobe(lobe).axis;
+            let turn = anchors.axis[middle].dot(towards).clamp(-1.0, 1.0).acos();
+            let widths = turn * (last - first) * (0.5 * (least + most) + other).sqrt();
+            let nodes = if widths < 0.25 * NODE_STEP {
+                1
+            } else {
+                (2 + (widths / NODE_STEP) as usize).min(MOST_NODES)
+            };
+            self.add(number, Some(lobe), ends, (first, last), nodes);
+        }
+    }
+
+    /// Adds a plan for products between two sharpnesses (none if they are in the wrong order), on an arc between two places.
+    fn add(
+        &mut self,
+        layer: usize,
+        lobe: Option<usize>,
+        [broadest, sharpest]: [f32; 2],
+        (first, last): (f32, f32),
+        nodes: usize,
+    ) {
+        if broadest > sharpest {
+            return;
+        }
+        let slots = (0..nodes).map(|node| Slot {
+            lobe: lobe.unwrap_or(0),
+            along: match nodes {
+                1 => 0.5 * (first + last),
+                _ => first + (last - first) * node as f32 / (nodes - 1) as f32,
+            },
+        });
+        let place = |wanted: bool, list: &mut Vec<Slot>| {
+            wanted.then(|| {
+                list.extend(slots.clone());
+                list.len() - nodes
+            })
+        };
+        let slot = place(BroadShare::trust(sharpest) < 1.0, self.slots);
+        let broad = place(BroadShare::trust(broadest) > 0.0, self.broad_slots);
+        self.plans.push(Plan {
+            layer,
             lobe,
-            slot: slots.len(),
+            slot,
+            broad,
             nodes,
             first,
             per: (nodes - 1) as f32 / (last - first).max(1e-6),
         });
-        for node in 0..nodes {
-            let along = match nodes {
-                1 => 0.5 * (first + last),
-                _ => first + (last - first) * node as f32 / (nodes - 1) as f32,
-            };
-            slots.push(Slot { lobe, along });
-        }
     }
 }
 
+/// Directions of some slots at an anchor, by component.
+#[inline(always)]
+fn directions(slots: &[Slot], sky: &Sky, axis: Vec3) -> [[f32; WIDE]; 3] {
+    let (mut x, mut y, mut z) = ([0.0; WIDE], [1.0; WIDE], [0.0; WIDE]);
+    let mut along = [0.0; WIDE];
+    for (lane, slot) in slots.iter().enumerate() {
+        x[lane] = sky.axis[0][slot.lobe];
+        y[lane] = sky.axis[1][slot.lobe];
+        z[lane] = sky.axis[2][slot.lobe];
+        along[lane] = slot.along;
+    }
+    let mut w = [[0.0; WIDE]; 3];
+    for k in 0..WIDE {
+        let (t, rest) = (along[k], 1.0 - along[k]);
+        let (a, b, c) = (
+            axis.x * rest + x[k] * t,
+            axis.y * rest + y[k] * t,
+            axis.z * rest + z[k] * t,
+        );
+        let scale = 1.0 / (a * a + b * b + c * c + 1e-20).sqrt();
+        (w[0][k], w[1][k], w[2][k]) = (a * scale, b * scale, c * scale);
+    }
+    w
+}
+
 wide! {
-/// Reads the fields: the distances of all slots at all anchors.
+/// Reads the fields: the distances of all slots at all anchors; and what bands of harmonics say at the broad ones.
 fn read(batch: &mut Batch, points: &Points, sky: &Sky, anchors: &Anchors) {
-    let Batch { slots, distances, .. } = batch;
+    let Batch { slots, distances, broad_slots, bands, .. } = batch;
     distances.clear();
     distances.resize(slots.len(), [0.0; ANCHORS]);
-    for (slots, out) in slots.chunks(WIDE).zip(distances.chunks_mut(WIDE)) {
-        let (mut x, mut y, mut z) = ([0.0; WIDE], [1.0; WIDE], [0.0; WIDE]);
-        let mut along = [0.0; WIDE];
-        for (lane, slot) in slots.iter().enumerate() {
-            x[lane] = sky.axis[0][slot.lobe];
-            y[lane] = sky.axis[1][slot.lobe];
-            z[lane] = sky.axis[2][slot.lobe];
-            along[lane] = slot.along;
+    bands.clear();
+    bands.resize(broad_slots.len(), [[0.0; ANCHORS]; 4]);
+    for anchor in 0..ANCHORS {
+        if anchors.eyes[anchor].is_none() {
+            continue;
         }
-        for anchor in 0..ANCHORS {
-            if anchors.eyes[anchor].is_none() {
-                continue;
-            }
-            let axis = anchors.axis[anchor];
-            let mut w = [[0.0; WIDE]; 3];
-            for k in 0..WIDE {
-                let (t, rest) = (along[k], 1.0 - along[k]);
-                let (a, b, c) = (
-                    axis.x * rest + x[k] * t,
-                    axis.y * rest + y[k] * t,
-                    axis.z * rest + z[k] * t,
-                );
-                let scale = 1.0 / (a * a + b * b + c * c + 1e-20).sqrt();
-                (w[0][k], w[1][k], w[2][k]) = (a * scale, b * scale, c * scale);
-            }
+        let axis = anchors.axis[anchor];
+        for (slots, out) in slots.chunks(WIDE).zip(distances.chunks_mut(WIDE)) {
+            let w = directions(slots, sky, axis);
             let mut sum = [0.0; WIDE];
             for &(id, weight) in &anchors.near[anchor] {
                 let point = &points.list[id as usize];
@@ -603,6 +671,14 @@ fn read(batch: &mut Batch, points: &Points, sky: &Sky, anchors: &Anchors) {
                 out[anchor] = sum[lane];
             }
         }
+        for (slots, out) in broad_slots.chunks(WIDE).zip(bands.chunks_mut(WIDE)) {
+            let found = bands_at_eight(&anchors.harmonics[anchor], &directions(slots, sky, axis));
+            for (lane, out) in out.iter_mut().enumerate() {
+                for (band, found) in out.iter_mut().zip(&found) {
+                    band[anchor] = found[lane];
+                }
+            }
+        }
     }
 }
 }
@@ -610,54 +686,81 @@ fn read(batch: &mut Batch, points: &Points, sky: &Sky, anchors: &Anchors) {
 wide! {
 /// Adds what a product brings.
 fn shine(batch: &mut Batch, sky: &Sky, index: usize) {
-    let share = VisibleShare::new();
+    let (nearest, bands_share) = (VisibleShare::new(), BroadShare::new());
     let plan = batch.plans[index];
     let layer = &batch.layers[plan.layer];
-    let colour = sky.amplitude.each_ref().map(|column| column[plan.lobe]);
-    let other = sky.sharpness[plan.lobe];
     for chunk in 0..batch.len.div_ceil(WIDE) {
         let start = chunk * WIDE;
-        let value = lanes(&layer.value[plan.lobe], start);
         let weight = lanes(&layer.weight, start);
         if weight.iter().all(|&w| w == 0.0) {
             continue;
         }
         let across = batch.across.each_ref().map(|column| lanes(column, start));
         let down = batch.down.each_ref().map(|column| lanes(column, start));
-        let own = lanes(&layer.sharpness, start);
-        let mut distance = [0.0; WIDE];
-        let at = &batch.distances[plan.slot..plan.slot + plan.nodes];
-        if let [at] = at {
-            distance = between(&across, &down, at);
-        } else {
-            let mut place = [0.0; WIDE];
+        // What each node of the arc counts.
+        let mut parts = [[0.0; WIDE]; MOST_NODES];
+        parts[0] = [1.0; WIDE];
+        let length = match plan.lobe {
+            Some(lobe) => lanes(&layer.length[lobe], start),
+            None => lanes(&layer.sharpness, start),
+        };
+        if let (Some(lobe), 2..) = (plan.lobe, plan.nodes) {
+            let (own, other) = (lanes(&layer.sharpness, start), sky.sharpness[lobe]);
             for k in 0..WIDE {
                 let x = (other / (own[k] + other) - plan.first) * plan.per;
-                place[k] = x.clamp(0.0, (plan.nodes - 1) as f32);
-            }
-            for (node, at) in at.iter().enumerate() {
-                let found = between(&across, &down, at);
-                for k in 0..WIDE {
-                    let off = (place[k] - node as f32).abs();
-                    let part = if off < 1.0 { 1.0 - off } else { 0.0 };
-                    distance[k] += found[k] * part;
+                let x = x.clamp(0.0, (plan.nodes - 1) as f32);
+                for (node, part) in parts[..plan.nodes].iter_mut().enumerate() {
+                    let off = (x - node as f32).abs();
+                    part[k] = if off < 1.0 { 1.0 - off } else { 0.0 };
                 }
             }
         }
-        let length = lanes(&layer.length[plan.lobe], start);
-        let visible = share.at_eight(&distance, &length);
-        let mut light = [0.0; WIDE];
-        for k in 0..WIDE {
-            light[k] = value[k] * visible[k];
-        }
-        for ((colour, albedo), radiance) in
-            colour.iter().zip(&layer.amplitude).zip(&mut batch.radiance)
-        {
-            let (albedo, mut sum) = (lanes(albedo, start), lanes(radiance, start));
-            for k in 0..WIDE {
-                sum[k] += light[k] * colour * albedo[k];
+        let mut visible = [0.0; WIDE];
+        if let Some(slot) = plan.slot {
+            let mut distance = [0.0; WIDE];
+            for (at, part) in batch.distances[slot..slot + plan.nodes].iter().zip(&parts) {
+                let found = between(&across, &down, at);
+                for k in 0..WIDE {
+                    distance[k] += found[k] * part[k];
+                }
             }
-            radiance[start..start + WIDE].copy_from_slice(&sum);
+            visible = nearest.at_eight(&distance, &length);
+        }
+        if let Some(slot) = plan.broad {
+            let mut bands = [[0.0; WIDE]; 4];
+            for (at, part) in batch.bands[slot..slot + plan.nodes].iter().zip(&parts) {
+                for (band, at) in bands.iter_mut().zip(at) {
+                    let found = between(&across, &down, at);
+                    for k in 0..WIDE {
+                        band[k] += found[k] * part[k];
+                    }
+                }
+            }
+            let broad = bands_share.at_eight(&bands, &length);
+            for k in 0..WIDE {
+                let trust = BroadShare::trust(length[k]);
+                visible[k] += (broad[k] - visible[k]) * trust;
+            }
+        }
+        for axis in 0..3 {
+            let mut sum = lanes(&batch.radiance[axis], start);
+            match plan.lobe {
+                Some(lobe) => {
+                    let value = lanes(&layer.value[lobe], start);
+                    let albedo = lanes(&layer.amplitude[axis], start);
+                    let colour = sky.amplitude[axis][lobe];
+                    for k in 0..WIDE {
+                        sum[k] += value[k] * visible[k] * colour * albedo[k];
+                    }
+                }
+                None => {
+                    let rest = lanes(&layer.rest[axis], start);
+                    for k in 0..WIDE {
+                        sum[k] += rest[k] * visible[k];
+                    }
+                }
+            }
+            batch.radiance[axis][start..start + WIDE].copy_from_slice(&sum);
         }
     }
 }

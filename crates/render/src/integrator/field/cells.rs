@@ -88,8 +88,16 @@ impl Cells {
         .sum()
     }
 
-    /// The integral of the sky's lobes times a lobe of amplitude 1.
-    pub(super) fn in_lobe(&self, points: &Points, sky: &Sky, axis: Vec3, sharpness: f32) -> Vec3 {
+    /// The integral of the sky's lobes times a lobe of amplitude 1; and `rest`, the same of what the sky has beside them were nothing in the way, times
+    /// the share of the lobe that is visible.
+    pub(super) fn in_lobe(
+        &self,
+        points: &Points,
+        sky: &Sky,
+        axis: Vec3,
+        sharpness: f32,
+        rest: Vec3,
+    ) -> Vec3 {
         /// What brings less than this share is left out.
         const NEGLIGIBLE: f32 = 1e-3;
         let own = SphericalGaussian {
@@ -104,6 +112,11 @@ impl Cells {
         let seen = products.iter().filter(matter).map(|product| {
             product.amplitude * self.integrate(points, product.axis, product.sharpness, Weight::One)
         });
-        seen.sum()
+        let mut sum: Vec3 = seen.sum();
+        if rest != Vec3::ZERO {
+            let free = self.integrate(points, axis, sharpness, Weight::One);
+            sum += rest * (free / SphericalGaussian::unit_integral(sharpness));
+        }
+        sum
     }
 }

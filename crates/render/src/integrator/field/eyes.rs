@@ -1,4 +1,10 @@
 //! What the camera sees: one surface point a pixel, in tiles.
+//!
+//! What Wang et al. 2013, section 6, rasterize into frame buffers (position, frame, material) is found by a ray through the middle of every pixel here, tile by tile as coherent
+//! packets; of the hit all else follows. Lines of sight pass clear panes, which tint them.
+//!
+//! Holds: a pixel's answer is its own, whatever tile it lies in. Wrong tool for what is smaller than a pixel (edges get more samples later, found by comparing neighbours:
+//! a speck between the middles of pixels is never seen), for depth of field and for motion blur: one point stands for the pixel.
 
 use crate::camera::View;
 use crate::geometry::{Geometry, Place, is_pane};

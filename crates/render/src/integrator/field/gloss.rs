@@ -3,8 +3,10 @@
 //! The distribution of microfacet normals is a sum of one to three lobes about the surface's normal, `D(h) = sum A_k exp(l_k (h.n - 1))`, fitted by
 //! least squares for each alpha (one lobe loses the tails: see [`Fit::residual`]). A lobe of normals becomes a lobe of reflected directions about
 //! the mirrored view (Wang et al. 2009): the half vector turns half as fast as the direction, `dh/di = 1 / (4 o.h)`, so its sharpness is
-//! `l_k / (4 o.n)`. Fresnel's term, shadowing and the cosine are taken at the lobe's centre; in their place stands the lobe's exact albedo
-//! in even light, so that nothing is lost at grazing angles, where the centre says little.
+//! `l_k / (4 o.n)`. In place of Fresnel's term, shadowing and the cosine at the lobe's centre stands the lobe's exact albedo
+//! in even light, so that nothing is lost at grazing angles, where the centre says little; and a part of rough reflections is matt ([`matt_share`]).
+//!
+//! Wrong tool for reflections along the surface, which are stretched where these lobes are round.
 
 use occlude_visibility::field::{SphericalGaussian, VisibleShare};
 use std::sync::LazyLock;
@@ -66,6 +68,76 @@ pub(super) fn lobes(alpha: f32, cos_o: f32, count: usize) -> [Lobe; MOST] {
             amplitude: part / above,
         }
     })
+}
+
+/// Cosines of views that [`matt_share`] is known for: `(j + 1) / COSINES`.
+const COSINES: usize = 10;
+/// Below this alpha (its number among the fits) lobes are too narrow for the cosine to differ within them.
+const FIRST_MATT: usize = 2;
+
+static MATT: LazyLock<[[[f32; COSINES]; ALPHAS]; MOST]> = LazyLock::new(|| {
+    std::array::from_fn(|count| {
+        std::array::from_fn(|i| {
+            if i < FIRST_MATT {
+                return [0.0; COSINES];
+            }
+            let fit = &FITS[count][i];
+            let alpha = i as f64 / (ALPHAS - 1) as f64;
+            std::array::from_fn(|j| fit_matt(fit, alpha, (j + 1) as f64 / COSINES as f64))
+        })
+    })
+});
+
+/// The share of a GGX reflection that is better put into a cosine lobe about the normal. Shadowing and the cosine, which lobes leave out, push light that arrives along the surface out of
+/// rough reflections: a good deal of them is matt. The share is that of least squares over directions.
+pub(super) fn matt_share(alpha: f32, cos_o: f32, count: usize) -> f32 {
+    let between = |x: f32, most: usize| {
+        let i = (x as usize).min(most - 2);
+        (i, x - i as f32)
+    };
+    let (i, t) = between(alpha.clamp(0.0, 1.0) * (ALPHAS - 1) as f32, ALPHAS);
+    let x = (cos_o * COSINES as f32 - 1.0).clamp(0.0, (COSINES - 1) as f32);
+    let (j, u) = between(x, COSINES);
+    let along = |row: &[f32; COSINES]| row[j] + (row[j + 1] - row[j]) * u;
+    let table = &MATT[count - 1];
+    let (a, b) = (along(&table[i]), along(&table[i + 1]));
+    a + (b - a) * t
+}
+
+fn fit_matt(fit: &Fit, alpha: f64, cos_o: f64) -> f32 {
+    const STEPS: usize = 48;
+    let smith = |c: f64| (-1.0 + (1.0 + alpha * alpha * (1.0 / (c * c) - 1.0)).sqrt()) / 2.0;
+    let sin_o = (1.0 - cos_o * cos_o).sqrt();
+    // Directions of equal solid angle over a quarter of the sphere: the other half is the same. The truth, each lobe, and the cosine lobe, all with sum 1.
+    let mut columns = vec![[0.0; MOST + 2]; STEPS * STEPS];
+    for (index, column) in columns.iter_mut().enumerate() {
+        let z = ((index / STEPS) as f64 + 0.5) / STEPS as f64;
+        let phi = ((index % STEPS) as f64 + 0.5) / STEPS as f64 * std::f64::consts::PI;
+        let x = (1.0 - z * z).sqrt() * phi.cos();
+        let (along, across) = (sin_o * x, cos_o * z);
+        let h_z = (z + cos_o) / (2.0 * (1.0 + along + across)).max(1e-12).sqrt();
+        let e = h_z * h_z * (alpha * alpha - 1.0) + 1.0;
+        column[MOST] = 1.0 / (e * e * (1.0 + smith(z) + smith(cos_o)));
+        column[MOST + 1] = z;
+        for k in 0..MOST {
+            let sharpness = f64::from(fit.sharpness[k]) / (alpha * alpha) / (4.0 * cos_o);
+            column[k] = (sharpness * (across - along - 1.0)).exp();
+        }
+    }
+    let mut sums = [0.0; MOST + 2];
+    for column in &columns {
+        sums.iter_mut().zip(column).for_each(|(sum, v)| *sum += v);
+    }
+    let (mut over, mut under) = (0.0, 0.0);
+    for column in &columns {
+        let lobes: f64 = (0..MOST)
+            .map(|k| f64::from(fit.shares[k]) * column[k] / sums[k])
+            .sum();
+        let matt = column[MOST + 1] / sums[MOST + 1] - lobes;
+        over += (column[MOST] / sums[MOST] - lobes) * matt;
+        under += matt * matt;
+    }
+    (over / under).clamp(0.0, 1.0) as f32
 }
 
 /// The share of the reflection that a fit puts in wrong places.

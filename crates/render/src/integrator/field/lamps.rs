@@ -6,15 +6,16 @@
 //! (of the disk with the area that is seen), negative where the centre is blocked. Pixels interpolate distances as they do those of the sky, so
 //! that shadows have penumbrae and edges that move; a disk that a straight edge cuts at the interpolated distance is what is visible ([`free_share`]).
 //!
-//! Unshadowed light on matt surfaces is exact (Lambert's formula for polygons); in glossy lobes a lamp is a spherical Gaussian with the radiance and the solid angle of the
-//! lamp. Large lamps are cut into parts. Wrong tool for many lamps: then there are none here, and exact rays are used.
+//! Unshadowed light is that of the lamps' triangles ([`polygon`]); only in lobes much broader than a lamp the lamp is a spherical Gaussian with its radiance and its solid
+//! angle. Large lamps are cut into parts. Wrong tool for many lamps: then there are none here, and exact rays are used.
 
 use super::math::exp;
+use super::polygon;
 use crate::geometry::Geometry;
 use crate::light::EmissivePart;
 use glam::Vec3;
 use occlude_visibility::{Ray, Tracer};
-use std::f32::consts::{FRAC_1_PI, PI, TAU};
+use std::f32::consts::{FRAC_1_PI, TAU};
 
 /// Lamps at most, and triangles that they may have.
 pub(super) const MOST: usize = 8;
@@ -187,27 +188,66 @@ impl Lamps {
         if free <= 0.0 {
             return Vec3::ZERO;
         }
-        let lit = self.triangles.iter().map(|triangle| {
+        let lit = self.facing(position).map(|triangle| {
+            let corners = triangle.corners.map(|p| p - position);
+            triangle.radiance * polygon::irradiance(corners, normal)
+        });
+        lit.sum::<Vec3>() * (free / all)
+    }
+
+    /// The triangles that shine towards a place.
+    fn facing(&self, position: Vec3) -> impl Iterator<Item = &EmissivePart> {
+        self.triangles.iter().filter(move |triangle| {
             let [a, b, c] = triangle.corners;
-            let behind = (b - a).cross(c - a).dot(position - a) <= 0.0;
-            if behind && !triangle.double_sided {
-                return Vec3::ZERO;
+            triangle.double_sided || (b - a).cross(c - a).dot(position - a) > 0.0
+        })
+    }
+
+    /// The integral of all lamps times a lobe of amplitude 1. In a narrow lobe lamps have the outlines that they have; what is seen of them is that of the parts
+    /// that the lobe sees.
+    pub(super) fn in_lobe(
+        &self,
+        position: Vec3,
+        normal: Vec3,
+        seen: &[Seen],
+        axis: Vec3,
+        sharpness: f32,
+    ) -> Vec3 {
+        /// Solid angles of a part, in those of the lobe, up to which it may as well be a lobe.
+        const ROUND: f32 = 0.02;
+        /// What fills less of a lobe is not looked at closely.
+        const NEGLIGIBLE: f32 = 1e-4;
+        let (mut sum, mut free, mut all, mut widest) = (Vec3::ZERO, 0.0, 0.0, 0.0_f32);
+        for lamp in seen {
+            let whole = lamp.in_lobe(axis, sharpness);
+            let light = lamp.radiance * whole;
+            sum += light * lamp.free;
+            free += light.element_sum() * lamp.free;
+            all += light.element_sum();
+            if whole * sharpness > NEGLIGIBLE {
+                widest = widest.max(sharpness / lamp.sharpness);
             }
-            triangle.radiance * polygon(triangle.corners.map(|p| p - position), normal)
+        }
+        if widest < ROUND || free <= 0.0 {
+            return sum;
+        }
+        let lit = self.facing(position).map(|triangle| {
+            let corners = triangle.corners.map(|p| p - position);
+            triangle.radiance * polygon::in_lobe(corners, normal, axis, sharpness)
         });
         lit.sum::<Vec3>() * (free / all)
     }
 }
 
 impl Seen {
-    /// The integral of the lamp times a lobe of amplitude 1.
-    pub(super) fn in_lobe(&self, axis: Vec3, sharpness: f32) -> Vec3 {
+    /// The integral of a lobe for the lamp and a lobe of amplitude 1, nothing in the way.
+    fn in_lobe(&self, axis: Vec3, sharpness: f32) -> f32 {
         let (own, cos) = (self.sharpness, axis.dot(self.axis));
         let sum = own + sharpness;
         let twice = 2.0 * own * sharpness * (1.0 - cos);
         let length = (sum * sum - twice).max(1e-12).sqrt();
         let whole = TAU * (1.0 - exp(-2.0 * length)) / length;
-        self.radiance * (exp(-twice / (length + sum)) * whole * self.free * self.above)
+        exp(-twice / (length + sum)) * whole * self.above
     }
 }
 
@@ -291,40 +331,6 @@ fn parts(pieces: &[EmissivePart], count: usize) -> Vec<Lamp> {
         (lamp.radiance != Vec3::ZERO).then_some(lamp)
     };
     (0..centres.len()).filter_map(lamp).collect()
-}
-
-/// Irradiance of a triangle with radiance 1, its corners relative to the point: what is below the horizon is cut away, then Lambert's formula.
-fn polygon(corners: [Vec3; 3], normal: Vec3) -> f32 {
-    let heights = corners.map(|corner| corner.dot(normal));
-    let mut above = [Vec3::ZERO; 4];
-    let mut count = 0;
-    for k in 0..3 {
-        let next = (k + 1) % 3;
-        if heights[k] > 0.0 {
-            above[count] = corners[k];
-            count += 1;
-        }
-        if (heights[k] > 0.0) != (heights[next] > 0.0) {
-            let t = heights[k] / (heights[k] - heights[next]);
-            above[count] = corners[k].lerp(corners[next], t);
-            count += 1;
-        }
-    }
-    if count < 3 {
-        return 0.0;
-    }
-    let mut sum = 0.0;
-    for k in 0..count {
-        let (a, b) = (above[k], above[(k + 1) % count]);
-        let cross = a.cross(b);
-        let sine = cross.length();
-        if sine > 0.0 {
-            let angle =
-                0.5 * PI - super::math::asin(a.dot(b) / (a.length() * b.length()).max(1e-30));
-            sum += angle * cross.dot(normal) / sine;
-        }
-    }
-    0.5 * sum.abs()
 }
 
 /// The map through which a point looks at a lamp.
@@ -527,11 +533,23 @@ mod tests {
         let lamps = Lamps::new(square(0.1, 2.0)).unwrap();
         let mut seen = Vec::new();
         lamps.seen(Vec3::ZERO, Vec3::Y, &[REACH; MOST], &mut seen);
-        let wide: Vec3 = seen.iter().map(|lamp| lamp.in_lobe(Vec3::Y, 1.0)).sum();
+        let look = |axis, sharpness| lamps.in_lobe(Vec3::ZERO, Vec3::Y, &seen, axis, sharpness);
+        let wide = look(Vec3::Y, 1.0);
         let solid = 0.04 / 4.0;
         assert!((wide.x / (3.0 * solid) - 1.0).abs() < 0.02, "{wide}");
-        let away: Vec3 = seen.iter().map(|lamp| lamp.in_lobe(Vec3::X, 200.0)).sum();
-        assert!(away.x < 1e-6);
+        assert!(look(Vec3::X, 200.0).x < 1e-6);
+        let narrow = look(Vec3::Y, 20_000.0).x * 20_000.0 / TAU;
+        assert!((narrow / 3.0 - 1.0).abs() < 0.01, "{narrow}");
+        // Whether a part is a lobe or its outline must not show: where that changes both say the same.
+        for cos in [1.0_f32, 0.98, 0.95] {
+            let axis = Vec3::new((1.0 - cos * cos).sqrt(), cos, 0.0);
+            let round: f32 = seen.iter().map(|lamp| lamp.in_lobe(axis, 52.0)).sum();
+            let outlined = look(axis, 52.0).x / 3.0;
+            assert!(
+                (round / outlined - 1.0).abs() < 0.02,
+                "{cos}: {round} {outlined}"
+            );
+        }
     }
 
     #[test]

@@ -21,7 +21,9 @@ mod eyes;
 mod gloss;
 mod lamps;
 mod math;
+mod octahedron;
 mod points;
+mod polygon;
 mod rest;
 mod shade;
 mod sky;
@@ -309,6 +311,7 @@ impl Fields {
             points,
             reach: &reach,
             sky: &self.sky,
+            rest,
             lamps,
             areas: some_light(&areas),
             exact: some_light(&exact),

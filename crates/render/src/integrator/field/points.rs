@@ -331,7 +331,8 @@ impl Points {
                 } = point;
                 let blocks = map.blocks();
                 sky.seen_from(hemisphere, &blocks, |w| field.at(hemisphere, w), seen);
-                near.rest = rest.map_or(Vec3::ZERO, |rest| rest.irradiance(hemisphere, &blocks));
+                near.rest =
+                    rest.map_or(Vec3::ZERO, |rest| rest.irradiance(hemisphere, map, &blocks));
             });
     }
 

@@ -1,111 +1,133 @@
-//! What the sky has beside its lobes, for matt surfaces.
+//! What the sky has beside its lobes.
 //!
-//! Lobes lose what is narrow or has edges: a bright strip above the horizon becomes a broad glow. Sample points know what they see direction by direction, so
-//! the difference of sky and lobes, averaged over cells of six degrees (no finer than the blocks of maps that it is multiplied with), is integrated over each point's map, and interpolated. With it diffuse light under shadows is that of the sky
-//! itself, up to those cells. It may be negative.
+//! Lobes lose what is narrow or has edges: a bright strip above the horizon becomes a broad glow. The difference of sky and lobes, which may be negative, is
+//! added in two ways.
+//!
+//! For matt surfaces: sample points know what they see direction by direction, so the difference, averaged over texels of one and a half degrees at edges of
+//! visibility and three elsewhere, is integrated over each point's map, and interpolated. Diffuse light under shadows is then that of the sky itself, up to those texels.
+//!
+//! For glossy ones: the difference under a lobe of reflected directions, nothing in the way, comes from squares that were smoothed by lobes of some sharpnesses (as
+//! prefiltered skies of games are: McAllister et al. 2002). What is visible of it is the share of the whole lobe that is ([`VisibleShare`]): unlike each
+//! product of lobes, which asks about itself. Exact where nothing is in the way and for lobes that are wholly hidden or free; wrong where an edge runs between
+//! what is brighter and what is darker than the lobes. Wrong tool for mirrors, which show the sky itself.
+//!
+//! [`VisibleShare`]: occlude_visibility::field::VisibleShare
 
+use super::math::exp;
+use super::octahedron::{Octahedron, Smooth};
 use crate::light::{Environment, SkyLobes};
-use glam::{Vec2, Vec3};
-use occlude_visibility::field::{Hemisphere, MapBlock};
-use rayon::prelude::*;
+use glam::Vec3;
+use occlude_visibility::field::{Hemisphere, MapBlock, VisibilityMap};
 
-/// Cells along a side of the octahedron's square, and samples along a side of a cell.
-const SIDE: usize = 32;
-const SAMPLES: usize = 16;
-/// A sun's light was taken out of cells so near to it, radians.
+/// Texels along a side of the finest square (less than half a degree each), and of those that matt surfaces are lit with: at edges, and away from them.
+const FINEST: usize = 512;
+const MATT: [usize; 2] = [128, 64];
+/// A sun's light was taken out of texels so near to it, radians.
 const SUN_REACH: f32 = 0.15;
+/// Sharpness of the smoothed squares, as powers of two, and what the finest one stands for as it is.
+const SMOOTHED: [u32; 5] = [10, 8, 6, 4, 2];
+const FINEST_STANDS_FOR: f32 = 14.0;
 
 /// Radiance of the sky minus that of its lobes and suns.
 #[derive(Clone, Debug)]
 pub(super) struct Rest {
-    cells: Vec<Vec3>,
-}
-
-/// The direction of a point of `[-1, 1]^2` (not normalised: on the octahedron).
-fn unfold(p: Vec2) -> Vec3 {
-    let up = 1.0 - p.x.abs() - p.y.abs();
-    if up >= 0.0 {
-        Vec3::new(p.x, up, p.y)
-    } else {
-        let turned = (Vec2::ONE - Vec2::new(p.y.abs(), p.x.abs())) * sign(p);
-        Vec3::new(turned.x, up, turned.y)
-    }
-}
-
-fn sign(p: Vec2) -> Vec2 {
-    Vec2::new(1.0_f32.copysign(p.x), 1.0_f32.copysign(p.y))
-}
-
-/// The cell of a direction.
-#[inline]
-fn cell(w: Vec3) -> usize {
-    let p = Vec2::new(w.x, w.z) / (w.x.abs() + w.y.abs() + w.z.abs());
-    let p = if w.y >= 0.0 {
-        p
-    } else {
-        (Vec2::ONE - Vec2::new(p.y.abs(), p.x.abs())) * sign(p)
-    };
-    let index = |v: f32| (((v + 1.0) * (0.5 * SIDE as f32)) as usize).min(SIDE - 1);
-    index(p.y) * SIDE + index(p.x)
+    /// Means over texels, by [`MATT`].
+    cells: [Octahedron; MATT.len()],
+    finest: Smooth,
+    /// By [`SMOOTHED`].
+    smoothed: [Smooth; SMOOTHED.len()],
 }
 
 impl Rest {
     pub(super) fn new(sky: &Environment, lobes: &SkyLobes) -> Self {
-        let corner = |index: usize| Vec2::new((index % SIDE) as f32, (index / SIDE) as f32);
-        let place = |index: usize, i: usize, samples: usize| {
-            let step = 1.0 / samples as f32;
-            let inside = Vec2::new((i % samples) as f32 + 0.5, (i / samples) as f32 + 0.5) * step;
-            unfold((corner(index) + inside) * (2.0 / SIDE as f32) - Vec2::ONE)
-        };
-        let mut cells: Vec<Vec3> = (0..SIDE * SIDE)
-            .into_par_iter()
-            .map(|index| {
-                // Means over solid angle: of dx dy on the octahedron it is 1 / r^3.
-                let mean = |samples: usize, radiance: &dyn Fn(Vec3) -> Vec3| {
-                    let (mut sum, mut weight) = (Vec3::ZERO, 0.0);
-                    for i in 0..samples * samples {
-                        let v = place(index, i, samples);
-                        let r = v.length();
-                        sum += radiance(v / r) / (r * r * r);
-                        weight += 1.0 / (r * r * r);
-                    }
-                    sum / weight
-                };
-                mean(SAMPLES, &|w| sky.radiance(w)) - mean(SAMPLES / 4, &|w| lobes.radiance(w))
-            })
-            .collect();
-        let solid = |index: usize| {
-            let r = place(index, 0, 1).length();
-            (2.0 / SIDE as f32).powi(2) / (r * r * r)
-        };
+        let mut rest = Octahedron::from_fn(FINEST, |w| sky.radiance(w) - lobes.radiance(w));
         for sun in &lobes.suns {
             // What the suns shine is asked by rays: it goes from where the sky is brighter than the lobes.
-            let near: Vec<usize> = (0..cells.len())
-                .filter(|&index| {
-                    let w = place(index, 0, 1).normalize();
-                    w.dot(sun.towards) > SUN_REACH.cos()
-                })
-                .collect();
-            let above: Vec3 = (near.iter())
-                .map(|&index| cells[index].max(Vec3::ZERO) * solid(index))
-                .sum();
+            let (mut near, mut above) = (Vec::new(), Vec3::ZERO);
+            for index in 0..rest.texels.len() {
+                let (w, solid) = rest.texel(index);
+                if w.dot(sun.towards) > SUN_REACH.cos() {
+                    near.push(index);
+                    above += rest.texels[index].max(Vec3::ZERO) * solid;
+                }
+            }
             let left = (Vec3::ONE - sun.irradiance / above.max(Vec3::splat(1e-12))).max(Vec3::ZERO);
             for index in near {
-                let value = cells[index];
-                cells[index] = value.max(Vec3::ZERO) * left + value.min(Vec3::ZERO);
+                let value = &mut rest.texels[index];
+                *value = value.max(Vec3::ZERO) * left + value.min(Vec3::ZERO);
             }
         }
-        Self { cells }
+        let finest = rest.as_it_is();
+        let mut cells: [Octahedron; MATT.len()] = Default::default();
+        let smoothed = SMOOTHED.map(|power| {
+            rest = rest.halved();
+            if let Some(k) = MATT.iter().position(|&side| side == rest.side()) {
+                cells[k] = rest.clone();
+            }
+            rest.smoothed((1u32 << power) as f32)
+        });
+        Self {
+            cells,
+            finest,
+            smoothed,
+        }
     }
 
-    /// Irradiance of a point by what is free of its map.
-    pub(super) fn irradiance(&self, hemisphere: &Hemisphere, blocks: &[MapBlock]) -> Vec3 {
-        let free = blocks.iter().filter(|block| block.free > 0.0);
-        free.map(|block| {
-            let w = hemisphere.to_world(block.direction);
-            self.cells[cell(w)] * (block.weight * block.free)
-        })
-        .sum()
+    /// The integral of the rest times a lobe of amplitude 1, nothing in the way. Lobes broader than the broadest square see next to nothing of what lobes
+    /// of the sky have missed: what they see fades.
+    pub(super) fn in_lobe(&self, axis: Vec3, sharpness: f32) -> Vec3 {
+        const BROADEST: f32 = SMOOTHED[SMOOTHED.len() - 1] as f32;
+        let power = sharpness.max(1e-3).log2();
+        let smooth = |k: usize| self.smoothed[k].at(axis);
+        const SHARPEST: f32 = SMOOTHED[0] as f32;
+        let mean = if power >= SHARPEST {
+            let t = ((power - SHARPEST) / (FINEST_STANDS_FOR - SHARPEST)).min(1.0);
+            smooth(0).lerp(self.finest.at(axis), t)
+        } else if power > BROADEST {
+            let place = (SHARPEST - power) * 0.5;
+            let k = (place as usize).min(SMOOTHED.len() - 2);
+            smooth(k).lerp(smooth(k + 1), place - k as f32)
+        } else {
+            smooth(SMOOTHED.len() - 1) * (power - BROADEST).exp2()
+        };
+        let whole = std::f32::consts::TAU * (1.0 - exp(-2.0 * sharpness)) / sharpness;
+        Vec3::from(mean) * whole
+    }
+
+    /// Irradiance of a point by what is free of its map, whose blocks are given too: blocks with an edge texel by texel, the others by quarters.
+    pub(super) fn irradiance(
+        &self,
+        hemisphere: &Hemisphere,
+        map: &VisibilityMap,
+        blocks: &[MapBlock],
+    ) -> Vec3 {
+        /// Parts of a block along a side at most: of 128 texels each one.
+        const MOST: usize = 4;
+        let across = (blocks.len() as f32).sqrt() as usize;
+        let size = map.side() as usize / across;
+        let mut sum = Vec3::ZERO;
+        let lit = blocks.iter().enumerate();
+        for (number, block) in lit.filter(|(_, block)| block.free > 0.0) {
+            let edge = block.free < 1.0;
+            let cells = if edge { &self.cells[0] } else { &self.cells[1] };
+            let parts = size.min(if edge { MOST } else { 2 });
+            let side = across * parts;
+            let area = (std::f32::consts::PI / side as f32).powi(2);
+            // Of the part's texels one speaks: the others differ in maps that are finer than the sky's texels.
+            let step = size / parts;
+            let (top, left) = (number / across * parts, number % across * parts);
+            for row in top..top + parts {
+                for column in left..left + parts {
+                    if !edge || map.get(row * step, column * step) {
+                        let local = Hemisphere::texel(side as u32, row, column);
+                        let sine = (1.0 - local.z * local.z).sqrt();
+                        let w = hemisphere.to_world(local);
+                        sum += cells.texels[cells.index(w)] * (sine * local.y * area);
+                    }
+                }
+            }
+        }
+        sum
     }
 }
 
@@ -114,16 +136,6 @@ mod tests {
     use super::*;
     use crate::light::SkyFit;
     use occlude_image::Picture;
-    use occlude_visibility::field::VisibilityMap;
-
-    #[test]
-    fn cells_hold_their_directions() {
-        for index in 0..SIDE * SIDE {
-            let p = Vec2::new((index % SIDE) as f32 + 0.5, (index / SIDE) as f32 + 0.5);
-            let w = unfold(p * (2.0 / SIDE as f32) - Vec2::ONE).normalize();
-            assert_eq!(cell(w), index);
-        }
-    }
 
     /// A sky with a sharp horizon: lobes and the rest together light a point that sees a window of it as the sky does.
     #[test]
@@ -163,7 +175,7 @@ mod tests {
             }
         }
         let scale = std::f64::consts::TAU / f64::from(n);
-        let found = by_lobes * scale + f64::from(rest.irradiance(&h, &map.blocks()).x);
+        let found = by_lobes * scale + f64::from(rest.irradiance(&h, &map, &map.blocks()).x);
         let (by_lobes, expected) = (by_lobes * scale, expected * scale);
         println!("{found} of {expected}, by lobes alone {by_lobes}");
         assert!(

@@ -1,4 +1,13 @@
 //! From sample points to pixels: neighbours are found and weighed, the sky's lobes meet the surface's, lights without size are asked by rays.
+//!
+//! Wang et al. 2013, section 6: fields of the points around a pixel are interpolated by Eq. 8's weights, which here fall to 0 at a point's radius and are corrected to
+//! the first order ([`Shading::balance`]), and the product of a lobe of the sky and one of the surface (Eq. 2) is visible to the share that a straight edge at the
+//! interpolated distance leaves (Wang et al. 2009). Fresnel's term, shadowing and the cosine are in the lobes' albedo ([`super::gloss`]).
+//!
+//! Holds: weights of a pixel sum to 1; the same pixel has the same value whatever the threads; radiance is finite and not negative.
+//!
+//! Wrong tool where visibility changes within fewer pixels than lie between sample points (contact: rays of [`super::Field::contact`]), where what is seen through a slit or past a twig
+//! matters (one edge stands for two), and for what does not leave the surface on the side of the light.
 
 use super::batch::{ANCHORS, AT, Anchors, Batch, ITEMS, Predicted};
 use super::cells::Cells;
@@ -7,6 +16,7 @@ use super::gloss;
 use super::lamps::{Distances, Lamps, Seen};
 use super::math::{exp, wide};
 use super::points::{Contact, Near, Points, Reach};
+use super::rest::Rest;
 use super::sky::{Sky, WIDE};
 use super::{Field, World};
 use crate::bsdf::{Bsdf, Gloss};
@@ -16,7 +26,9 @@ use crate::geometry::Surface;
 use crate::light::Lights;
 use crate::sampling::{Sampler, SamplerKind};
 use glam::{Vec2, Vec3};
-use occlude_visibility::field::{Sites, VisibleShare, weight};
+use occlude_visibility::field::{
+    BroadShare, Harmonics, Sites, VisibleShare, bands_at_eight, weight,
+};
 use occlude_visibility::{Ray, Tracer, offset_along_normal};
 use std::f32::consts::FRAC_1_PI;
 
@@ -31,6 +43,8 @@ pub(super) struct Shading<'f, 'a> {
     pub(super) points: &'f Points,
     pub(super) reach: &'f Reach,
     pub(super) sky: &'f Sky,
+    /// What the sky has beside its lobes.
+    pub(super) rest: Option<&'f Rest>,
     /// Emissive surfaces as lobes, unless there are none or too many.
     pub(super) lamps: Option<&'f Lamps>,
     /// Suns of the scene, and emissive surfaces that are no lobes.
@@ -337,8 +351,12 @@ impl Shading<'_, '_> {
             let coat = reflection
                 .coat
                 .map(|(gloss, own)| (gloss, surface.world_from_local * own));
-            let glosses = [Some((reflection.gloss, normal)), coat];
-            let cosine = reflection.cosine;
+            let mut gloss = reflection.gloss;
+            let count = self.settings.gloss_lobes as usize;
+            let matt = gloss::matt_share(gloss.alpha, normal.dot(toward_eye), count);
+            let cosine = reflection.cosine + gloss.albedo * matt;
+            gloss.albedo *= 1.0 - matt;
+            let glosses = [Some((gloss, normal)), coat];
             radiance += self.under_sky(pixel, eye, &surface, toward_eye, cosine, glosses, scratch);
         }
         let mirrors = [
@@ -450,23 +468,30 @@ impl Shading<'_, '_> {
                     continue;
                 }
                 let amplitude = gloss.albedo * lobe.amplitude;
-                for lamp in &scratch.lamps {
-                    radiance += lamp.in_lobe(axis, lobe.sharpness) * amplitude;
+                let rest =
+                    (self.rest).map_or(Vec3::ZERO, |rest| rest.in_lobe(axis, lobe.sharpness));
+                if let Some(lamps) = self.lamps
+                    && !scratch.lamps.is_empty()
+                {
+                    let (place, seen) = (surface.position, &scratch.lamps);
+                    radiance +=
+                        lamps.in_lobe(place, normal, seen, axis, lobe.sharpness) * amplitude;
                 }
                 match (item, &predicted) {
                     (Some(item), Some(at)) if at.leads_to(axis, lobe.sharpness) => {
                         let layer = number * count + k;
                         let batch = &mut scratch.batch;
-                        batch.gloss(item, layer, axis, lobe.sharpness, amplitude);
+                        batch.gloss(item, layer, axis, lobe.sharpness, [amplitude, rest]);
                     }
                     _ if self.settings.cells => {
-                        let light =
-                            (scratch.cells).in_lobe(self.points, self.sky, axis, lobe.sharpness);
+                        let (cells, sharpness) = (&scratch.cells, lobe.sharpness);
+                        let light = cells.in_lobe(self.points, self.sky, axis, sharpness, rest);
                         radiance += light * amplitude;
                     }
                     _ => {
                         weigh(scratch);
-                        radiance += in_lobe(self, axis, lobe.sharpness, &scratch.near) * amplitude;
+                        let light = in_lobe(self, axis, lobe.sharpness, rest, &scratch.near);
+                        radiance += light * amplitude;
                     }
                 }
             }
@@ -683,8 +708,9 @@ impl Shading<'_, '_> {
 }
 
 wide! {
-/// The integral of the sky's lobes times a lobe of amplitude 1 over the free directions.
-fn in_lobe(shading: &Shading<'_, '_>, axis: Vec3, sharpness: f32, near: &[(u32, f32)]) -> Vec3 {
+/// The integral of the sky's lobes times a lobe of amplitude 1 over the free directions; and `rest`, the same of what the sky has beside them were nothing
+/// in the way, times the share of the lobe that is visible.
+fn in_lobe(shading: &Shading<'_, '_>, axis: Vec3, sharpness: f32, rest: Vec3, near: &[(u32, f32)]) -> Vec3 {
     // What brings less than this share of the sum is not asked about.
     const NEGLIGIBLE: f32 = 2e-3;
     const MOST: usize = 128;
@@ -718,13 +744,32 @@ fn in_lobe(shading: &Shading<'_, '_>, axis: Vec3, sharpness: f32, near: &[(u32, 
     }
     let least = NEGLIGIBLE * total.iter().sum::<f32>();
     let mut sum = Vec3::ZERO;
-    let mut waiting = [0usize; WIDE];
+    let mut harmonics = Harmonics::default();
+    for &(id, weight) in near {
+        for (sum, c) in harmonics.iter_mut().zip(&shading.points.list[id as usize].harmonics) {
+            *sum += c * weight;
+        }
+    }
+    let mut light = [Vec3::ZERO; WIDE];
+    let mut w = [[0.0_f32; WIDE]; 3];
+    let mut length = [1.0_f32; WIDE];
     let mut filled = 0;
+    if rest.abs().element_sum() > least {
+        (light[0], length[0]) = (rest, sharpness);
+        [w[0][0], w[1][0], w[2][0]] = axis.to_array();
+        filled = 1;
+    }
     let mut k = 0;
     loop {
         while k < count && filled < WIDE {
             if brightness[k] > least {
-                waiting[filled] = k;
+                length[filled] = lengths[k];
+                let other = sky.sharpness[k];
+                w[0][filled] = (axis.x * sharpness + sky.axis[0][k] * other) / lengths[k];
+                w[1][filled] = (axis.y * sharpness + sky.axis[1][k] * other) / lengths[k];
+                w[2][filled] = (axis.z * sharpness + sky.axis[2][k] * other) / lengths[k];
+                let [r, g, b] = sky.amplitude.each_ref().map(|column| column[k]);
+                light[filled] = Vec3::new(r, g, b) * values[k];
                 filled += 1;
             }
             k += 1;
@@ -732,29 +777,30 @@ fn in_lobe(shading: &Shading<'_, '_>, axis: Vec3, sharpness: f32, near: &[(u32, 
         if filled == 0 {
             break;
         }
-        let mut w = [[0.0_f32; WIDE]; 3];
-        let mut length = [1.0_f32; WIDE];
-        for (lane, &k) in waiting[..filled].iter().enumerate() {
-            length[lane] = lengths[k];
-            let other = sky.sharpness[k];
-            w[0][lane] = (axis.x * sharpness + sky.axis[0][k] * other) / lengths[k];
-            w[1][lane] = (axis.y * sharpness + sky.axis[1][k] * other) / lengths[k];
-            w[2][lane] = (axis.z * sharpness + sky.axis[2][k] * other) / lengths[k];
+        let mut trust = [0.0_f32; WIDE];
+        for lane in 0..filled {
+            trust[lane] = BroadShare::trust(length[lane]);
         }
-        let mut distance = [0.0_f32; WIDE];
-        for &(id, weight) in near {
-            let point = &shading.points.list[id as usize];
-            let found = point.field.at_eight(&point.hemisphere, &w);
+        let mut visible = [0.0_f32; WIDE];
+        if trust[..filled].iter().any(|&t| t < 1.0) {
+            let mut distance = [0.0_f32; WIDE];
+            for &(id, weight) in near {
+                let point = &shading.points.list[id as usize];
+                let found = point.field.at_eight(&point.hemisphere, &w);
+                for lane in 0..WIDE {
+                    distance[lane] += found[lane] * weight;
+                }
+            }
+            visible = share.at_eight(&distance, &length);
+        }
+        if trust.iter().any(|&t| t > 0.0) {
+            let broad = BroadShare::new().at_eight(&bands_at_eight(&harmonics, &w), &length);
             for lane in 0..WIDE {
-                distance[lane] += found[lane] * weight;
+                visible[lane] += (broad[lane] - visible[lane]) * trust[lane];
             }
         }
-        let visible = share.at_eight(&distance, &length);
-        for (lane, &k) in waiting[..filled].iter().enumerate() {
-            let value = values[k] * visible[lane];
-            sum.x += value * sky.amplitude[0][k];
-            sum.y += value * sky.amplitude[1][k];
-            sum.z += value * sky.amplitude[2][k];
+        for (light, visible) in light.iter().zip(visible).take(filled) {
+            sum += *light * visible;
         }
         filled = 0;
         if k >= count {

@@ -8,9 +8,9 @@ use occlude_visibility::field::{Hemisphere, MapBlock, SphericalGaussian, Visible
 /// Lobes that are worked on together.
 pub(super) const WIDE: usize = 8;
 
-/// Lobes up to this sharpness (15 degrees wide) cast soft shadows: what of them arrives is integrated at every sample point and
+/// Lobes up to this sharpness (9 degrees wide) cast soft shadows: what of them arrives is integrated at every sample point and
 /// interpolated. From sharper ones shadows have edges, which move from point to point: their distances are interpolated.
-const BROADEST_SHARP: f32 = 15.0;
+const BROADEST_SHARP: f32 = 40.0;
 
 /// Lobes by component, sorted by sharpness, filled up with black ones to whole vectors.
 #[derive(Clone, Debug, Default)]

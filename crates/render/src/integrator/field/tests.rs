@@ -556,6 +556,16 @@ fn memory_is_bounded() {
     assert!(report.bytes <= report.all_points * 34 * 1024);
 }
 
+/// Of what is matt in GGX reflections: nothing of narrow ones, most of the roughest, and lobes with it are nearer to the truth than without.
+#[test]
+fn rough_reflections_are_partly_matt() {
+    assert_eq!(gloss::matt_share(0.05, 0.7, 2), 0.0);
+    for (alpha, cos, expected) in [(0.36, 0.3, 0.41), (0.5, 0.6, 0.23), (1.0, 0.6, 0.69)] {
+        let found = gloss::matt_share(alpha, cos, 2);
+        assert!((found - expected).abs() < 0.08, "{alpha} {cos}: {found}");
+    }
+}
+
 /// Lobes of a reflection add up to its albedo over the hemisphere, and lie where path tracing finds the light.
 #[test]
 fn gloss_residuals_fall_with_lobes() {
