@@ -4,6 +4,7 @@
 //! path tracing with multiple importance sampling, and the error against the true sky), `passes` (Figs. 4 and 5), `grid` (Fig. 6), `raster` (Fig. 7), `memory`, `flicker`,
 //! `causes` (of error) and `builds` (refits against builds).
 
+mod figures;
 mod frames;
 mod maps;
 mod raster;
@@ -32,11 +33,11 @@ pub fn run(setting: &Setting) -> Report {
         frames::monte_carlo(setting, &mut report);
     }
     for (topic, study) in [
-        ("passes", studies::passes as fn(&Setting, &mut Report)),
-        ("grid", studies::grid),
+        ("passes", figures::passes as fn(&Setting, &mut Report)),
+        ("grid", figures::grid),
         ("memory", studies::memory),
         ("flicker", studies::flicker),
-        ("causes", studies::causes),
+        ("causes", figures::causes),
         ("builds", studies::builds),
         ("raster", raster::compare),
     ] {

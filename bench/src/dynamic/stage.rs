@@ -7,9 +7,11 @@ use occlude_image::{Limits, Picture};
 use occlude_render::camera::{PixelFilter, View};
 use occlude_render::film::Film;
 use occlude_render::geometry::{Geometry, Hierarchies, WorldTriangle};
-use occlude_render::integrator::{Integrator, RenderReport, RenderSettings, Sequence, World};
+use occlude_render::integrator::{
+    Integrator, PathLimits, RenderReport, RenderSettings, Sequence, World,
+};
 use occlude_render::job::Job;
-use occlude_render::light::{Environment, LightSelection, Lights, SkyLobes};
+use occlude_render::light::{Environment, LightSelection, Lights, SkyFit, SkyLobes};
 use occlude_render::sampling::SamplerKind;
 use occlude_scene::procedural::{Name, build};
 use occlude_scene::{Pose, Scene};
@@ -185,6 +187,21 @@ impl Stage {
                 pixels: film.develop().radiance,
             },
         }
+    }
+
+    /// The lobes of the sky without suns.
+    pub fn lobes(&self) -> SkyLobes {
+        let mut lobes = self.sky.lobes(&SkyFit::default());
+        lobes.suns.clear();
+        lobes
+    }
+
+    /// Direct light by path tracing under some lobes.
+    pub fn traced(&self, frame: u32, size: [u32; 2], lobes: &SkyLobes, samples: u32) -> Picture {
+        let sky = as_environment(lobes);
+        let work = (Integrator::Path(PathLimits::new(1)), samples, 7);
+        self.shoot(frame, size, &sky, &mut Reel::default(), work)
+            .picture
     }
 
     /// Surface points that the camera sees: place off the surface and normal.

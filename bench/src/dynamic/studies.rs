@@ -1,57 +1,35 @@
-//! What thresholds, resolutions, packing and refits do: Figs. 4 to 6 of the paper on our scenes, memory, flicker and causes of error.
+//! What packing, time and refits do: memory, flicker, builds.
 
-use super::frames::{errors, save};
+use super::frames::errors;
 use super::stage::{Reel, Shot, Stage, as_environment};
 use crate::common::{Report, Row, Setting, median};
 use occlude_bvh::BuildOptions;
 use occlude_image::Picture;
 use occlude_image::metrics::{flicker as flicker_of, relmse};
 use occlude_render::geometry::Geometry;
-use occlude_render::integrator::{Field, Integrator, PathLimits};
-use occlude_render::light::{SkyFit, SkyLobes};
+use occlude_render::integrator::{Field, Integrator};
 use occlude_scene::procedural::Name;
-use occlude_visibility::field::{Hemisphere, SphericalGaussian};
+use occlude_visibility::field::Hemisphere;
 use occlude_visibility::{Ray, Tracer};
 use std::time::Instant;
 
 const SKY: &str = "kiara_1_dawn_1k.hdr";
 
-fn of_paper(setting: &Setting) -> impl Iterator<Item = Stage> + '_ {
+pub fn of_paper(setting: &Setting) -> impl Iterator<Item = Stage> + '_ {
     [Name::HatOnCloth, Name::BallsInDish, Name::WalkingHat]
         .into_iter()
         .filter_map(|name| Stage::procedural(setting, name, SKY))
 }
 
-fn size(setting: &Setting) -> [u32; 2] {
+pub fn size(setting: &Setting) -> [u32; 2] {
     setting.size.unwrap_or(if setting.quick {
         [160, 120]
     } else {
-        [320, 240]
+        [640, 480]
     })
 }
 
-/// The lobes of a stage's sky without suns, and the map that they are.
-fn lobes(stage: &Stage) -> SkyLobes {
-    let mut lobes = stage.sky.lobes(&SkyFit::default());
-    lobes.suns.clear();
-    lobes
-}
-
-fn still(stage: &Stage, frame: u32, size: [u32; 2], lobes: &SkyLobes, field: Field) -> Shot {
-    let sky = as_environment(lobes);
-    let work = (Integrator::Field(field), 1, 0);
-    stage.shoot(frame, size, &sky, &mut Reel::under(lobes), work)
-}
-
-fn traced(stage: &Stage, frame: u32, size: [u32; 2], lobes: &SkyLobes, samples: u32) -> Picture {
-    let sky = as_environment(lobes);
-    let work = (Integrator::Path(PathLimits::new(1)), samples, 7);
-    stage
-        .shoot(frame, size, &sky, &mut Reel::default(), work)
-        .picture
-}
-
-fn row(
+pub fn row(
     report: &mut Report,
     name: String,
     scene: &str,
@@ -70,126 +48,6 @@ fn row(
         bar: bar.map(|(bar, _)| bar.into()),
         holds: bar.map(|(_, holds)| holds),
     });
-}
-
-/// Figs. 4 and 5: points and error after every pass of insertion.
-pub fn passes(setting: &Setting, report: &mut Report) {
-    let title = "Error by passes of insertion (Figs. 4 and 5), frame 30";
-    let header = ["scene", "passes", "points", "FLIP", "relMSE"];
-    for stage in of_paper(setting) {
-        let (size, lobes) = (size(setting), lobes(&stage));
-        let reference = traced(
-            &stage,
-            30,
-            size,
-            &lobes,
-            if setting.quick { 64 } else { 256 },
-        );
-        for passes in 0..=6 {
-            let field = Field {
-                rounds: [passes, 1],
-                ..Field::default()
-            };
-            let shot = still(&stage, 30, size, &lobes, field);
-            let points = shot.report.field.map_or(0, |field| field.points);
-            let (flip, _) = errors(&shot.picture, &reference);
-            let error = relmse(&shot.picture, &reference).unwrap_or(f64::NAN);
-            report.table(
-                title,
-                &header,
-                vec![
-                    stage.name.into(),
-                    passes.to_string(),
-                    points.to_string(),
-                    format!("{flip:.4}"),
-                    format!("{error:.5}"),
-                ],
-            );
-            row(
-                report,
-                format!("FLIP after {passes} passes"),
-                stage.name,
-                flip,
-                "",
-                None,
-            );
-            save(
-                setting,
-                &format!("{}_passes{passes}.png", stage.name),
-                &shot.picture,
-            );
-        }
-    }
-}
-
-/// Fig. 6: thresholds and resolutions on matt surfaces under one lobe.
-pub fn grid(setting: &Setting, report: &mut Report) {
-    let title = "Thresholds and resolutions (Fig. 6): matt surfaces, one lobe of light, frame 30";
-    let header = [
-        "scene", "E_v,max", "texels", "points", "MB", "FLIP", "relMSE",
-    ];
-    for mut stage in of_paper(setting) {
-        for material in &mut stage.scene.materials {
-            (material.metallic, material.specular, material.roughness) = (0.0, 0.0, 1.0);
-            material.metallic_roughness_texture = None;
-        }
-        let light = SkyLobes {
-            lobes: vec![SphericalGaussian {
-                axis: glam::Vec3::new(0.5, 0.8, 0.3).normalize(),
-                sharpness: 60.0,
-                amplitude: glam::Vec3::splat(12.0),
-            }],
-            ..SkyLobes::default()
-        };
-        let size = size(setting);
-        let reference = traced(
-            &stage,
-            30,
-            size,
-            &light,
-            if setting.quick { 64 } else { 256 },
-        );
-        save(
-            setting,
-            &format!("{}_grid_reference.png", stage.name),
-            &reference,
-        );
-        for threshold in [0.4, 0.2, 0.1] {
-            for resolution in [64, 128] {
-                let field = Field {
-                    insert_above: threshold,
-                    erase_below: 0.5 * threshold,
-                    resolution,
-                    ..Field::default()
-                };
-                let shot = still(&stage, 30, size, &light, field);
-                let known = shot.report.field.unwrap_or_default();
-                let (flip, _) = errors(&shot.picture, &reference);
-                let error = relmse(&shot.picture, &reference).unwrap_or(f64::NAN);
-                report.table(
-                    title,
-                    &header,
-                    vec![
-                        stage.name.into(),
-                        format!("{:.0} %", threshold * 100.0),
-                        resolution.to_string(),
-                        known.points.to_string(),
-                        format!("{:.1}", known.bytes as f64 / 1e6),
-                        format!("{flip:.4}"),
-                        format!("{error:.5}"),
-                    ],
-                );
-                let name = format!("grid {:.0} % {resolution}", threshold * 100.0);
-                row(report, name, stage.name, flip, "FLIP", None);
-                let name = format!(
-                    "{}_grid_{:.0}_{resolution}.png",
-                    stage.name,
-                    threshold * 100.0
-                );
-                save(setting, &name, &shot.picture);
-            }
-        }
-    }
 }
 
 /// Bytes a point against error: packed fields, and their cheap rivals.
@@ -223,7 +81,7 @@ pub fn memory(setting: &Setting, report: &mut Report) {
         ),
     ];
     for stage in of_paper(setting) {
-        let (size, lobes) = (size(setting), lobes(&stage));
+        let (size, lobes) = (size(setting), stage.lobes());
         let sky = as_environment(&lobes);
         let mut reference: Option<Picture> = None;
         for (name, field) in ways {
@@ -306,7 +164,7 @@ pub fn flicker(setting: &Setting, report: &mut Report) {
     let size = setting.size.unwrap_or([160, 120]);
     let frames = if setting.quick { 6 } else { 12 };
     for stage in of_paper(setting) {
-        let lobes = lobes(&stage);
+        let lobes = stage.lobes();
         let sky = as_environment(&lobes);
         let mut reel = Reel::under(&lobes);
         let (mut ours, mut theirs) = (Vec::new(), Vec::new());
@@ -319,13 +177,8 @@ pub fn flicker(setting: &Setting, report: &mut Report) {
                 (inserted, erased) = (inserted + known.inserted, erased + known.erased);
             }
             ours.push(shot.picture);
-            theirs.push(traced(
-                &stage,
-                frame,
-                size,
-                &lobes,
-                if setting.quick { 128 } else { 512 },
-            ));
+            let samples = if setting.quick { 128 } else { 512 };
+            theirs.push(stage.traced(frame, size, &lobes, samples));
         }
         let Ok(found) = flicker_of(&ours, &theirs) else {
             continue;
@@ -351,89 +204,6 @@ pub fn flicker(setting: &Setting, report: &mut Report) {
             "FLIP",
             None,
         );
-    }
-}
-
-/// Where the error comes from: one cause after the other is switched off.
-pub fn causes(setting: &Setting, report: &mut Report) {
-    let title = "Causes of error against paths under the same lobes (frame 30)";
-    let header = ["scene", "with", "FLIP", "relMSE", "energy"];
-    let usual = Field::default();
-    let finer = Field {
-        insert_above: 0.025,
-        erase_below: 0.0125,
-        rounds: [10, 1],
-        most_points: 32_768,
-        ..usual
-    };
-    let ways = [
-        ("defaults", usual),
-        (
-            "maps of 256x256",
-            Field {
-                resolution: 256,
-                ..usual
-            },
-        ),
-        (
-            "three lobes a reflection",
-            Field {
-                gloss_lobes: 3,
-                ..usual
-            },
-        ),
-        ("a quarter of the threshold", finer),
-        (
-            "pixels by themselves",
-            Field {
-                shared: false,
-                ..usual
-            },
-        ),
-        (
-            "cells instead of half-spaces",
-            Field {
-                cells: true,
-                ..usual
-            },
-        ),
-        (
-            "all of these",
-            Field {
-                resolution: 256,
-                gloss_lobes: 3,
-                cells: true,
-                ..finer
-            },
-        ),
-    ];
-    let size = setting.size.unwrap_or([80, 60]);
-    for stage in of_paper(setting) {
-        let lobes = lobes(&stage);
-        let reference = traced(
-            &stage,
-            30,
-            size,
-            &lobes,
-            if setting.quick { 256 } else { 2048 },
-        );
-        for (name, field) in ways {
-            let shot = still(&stage, 30, size, &lobes, field);
-            let (flip, energy) = errors(&shot.picture, &reference);
-            let error = relmse(&shot.picture, &reference).unwrap_or(f64::NAN);
-            report.table(
-                title,
-                &header,
-                vec![
-                    stage.name.into(),
-                    name.into(),
-                    format!("{flip:.4}"),
-                    format!("{error:.5}"),
-                    format!("{:+.2} %", energy * 100.0),
-                ],
-            );
-            row(report, format!("FLIP, {name}"), stage.name, flip, "", None);
-        }
     }
 }
 
