@@ -190,9 +190,9 @@ impl Anchors {
     }
 
     /// Interpolates what is seen at the anchors.
-    pub(super) fn look(&mut self, points: &Points, lobes: usize) {
+    pub(super) fn look(&mut self, points: &Points, sky: &Sky) {
         self.seen.clear();
-        self.seen.resize(lobes, [0.0; ANCHORS]);
+        self.seen.resize(sky.seen_len(), [0.0; ANCHORS]);
         self.light = Default::default();
         self.lamps = Default::default();
         self.harmonics = Default::default();
@@ -428,6 +428,7 @@ fn matt(batch: &mut Batch, sky: &Sky, anchors: &Anchors) {
             }
             if lobe >= sky.broad {
                 let sharpness = sky.sharpness[lobe];
+                let missed = between(&across, &down, &anchors.seen[sky.missed_at(lobe)]);
                 let (mut horizon, mut nearest) = ([0.0; WIDE], [0.0; WIDE]);
                 for k in 0..WIDE {
                     horizon[k] = asin(cos[k]);
@@ -437,7 +438,8 @@ fn matt(batch: &mut Batch, sky: &Sky, anchors: &Anchors) {
                 let left = share.at_eight(&nearest, &[sharpness; WIDE]);
                 for k in 0..WIDE {
                     let part = left[k] / (free[k] + 1e-9);
-                    seen[k] = if free[k] > 1e-3 { part } else { 0.0 };
+                    let part = missed[k] + if free[k] > 1e-3 { part } else { 0.0 };
+                    seen[k] = part.clamp(0.0, 1.0);
                 }
             }
             for k in 0..WIDE {

@@ -278,35 +278,43 @@ mod tests {
         assert!((half.texels[half.index(Vec3::Y)] - Vec3::Y).length() < 0.2);
     }
 
-    /// What is smooth is read back everywhere, across edges and corners too.
+    /// What is smooth is read back everywhere, across edges and corners too; where the octahedron folds, with an error in proportion to the texels.
     #[test]
     fn edges_are_glued_to_where_they_belong() {
         let value = |w: Vec3| Vec3::new(w.x, w.y, w.x * w.z);
-        let square = Octahedron::from_fn(64, value).as_it_is();
         let edges = [
             Vec3::NEG_Y,
             Vec3::new(0.0, -1.0, 1e-4),
             Vec3::X,
             Vec3::NEG_Z,
         ];
-        for w in directions(5000).chain(edges) {
-            let error = (Vec3::from(square.at(w)) - value(w)).abs().max_element();
-            assert!(error < 4e-3, "{w}: {error}");
-        }
+        let worst = |side: usize| {
+            let square = Octahedron::from_fn(side, value).as_it_is();
+            directions(5000).chain(edges).fold(0.0, |worst: f32, w| {
+                worst.max((Vec3::from(square.at(w)) - value(w)).abs().max_element())
+            })
+        };
+        let (coarse, fine) = (worst(64), worst(256));
+        println!("{coarse} {fine}");
+        // At a fold the slope of `w.x` changes by up to 2 sqrt(1/2), and between two texels a quarter of that is lost. Glued wrongly, errors are as large as values.
+        let fold = |side: f32| 0.36 * 2.0 / side;
+        assert!(coarse < fold(64.0) && fine < fold(256.0));
     }
 
     /// Smoothing against quadrature over directions.
     #[test]
     fn means_are_what_quadrature_says() {
         let value = |w: Vec3| {
-            if w.x + 0.3 * w.y > 0.2 {
+            let lit = w.x + 0.3 * w.y > 0.2;
+            if lit {
                 Vec3::ONE
             } else {
-                Vec3::new(0.0, 0.5, -1.0)
+                Vec3::new(0.0, 0.5, 0.2)
             }
         };
-        let square = Octahedron::from_fn(128, value);
-        for sharpness in [4.0, 60.0] {
+        for (side, sharpness) in [(64, 4.0), (128, 60.0)] {
+            // Texels are means over four middles each: the edge is not a staircase.
+            let square = Octahedron::from_fn(2 * side, value).halved();
             let smooth = square.smoothed(sharpness);
             for axis in directions(23) {
                 let (mut sum, mut all) = (Vec3::ZERO, 0.0);

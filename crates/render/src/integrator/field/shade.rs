@@ -239,7 +239,7 @@ impl Shading<'_, '_> {
                 anchors.speak(k, &scratch.near);
             }
         }
-        anchors.look(self.points, self.sky.len());
+        anchors.look(self.points, self.sky);
         scratch.anchors = anchors;
     }
 
@@ -601,7 +601,7 @@ impl Shading<'_, '_> {
     }
 
     fn interpolate_seen(&self, scratch: &mut Scratch) {
-        let count = self.sky.len();
+        let count = self.sky.seen_len();
         scratch.seen.clear();
         scratch.seen.resize(count, 0.0);
         for &(id, w) in &scratch.near {

@@ -12,6 +12,9 @@ pub(super) const WIDE: usize = 8;
 /// interpolated. From sharper ones shadows have edges, which move from point to point: their distances are interpolated.
 const BROADEST_SHARP: f32 = 40.0;
 
+/// Lobes up to this sharpness (6 degrees wide) are not too narrow to be summed over the blocks of a map.
+const NARROWEST_SUMMED: f32 = 100.0;
+
 /// Lobes by component, sorted by sharpness, filled up with black ones to whole vectors.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Sky {
@@ -53,13 +56,13 @@ impl Sky {
             suns: lobes.suns.clone(),
             ..Self::default()
         };
-        for group in [sorted, sharp] {
+        for (group, broad) in [(sorted, true), (sharp, false)] {
             let count = group.len().next_multiple_of(WIDE);
             let missing = count - group.len();
             for lobe in group.into_iter().chain((0..missing).map(|_| black)) {
                 sky.push(&lobe);
             }
-            if sky.broad == 0 {
+            if broad {
                 sky.broad = count;
             }
         }
@@ -97,7 +100,8 @@ impl Sky {
         irradiance(self, normal, seen)
     }
 
-    /// What of each lobe a point sees: shares of broad lobes' irradiance, distances of sharp ones' centres.
+    /// What of each lobe a point sees: shares of broad lobes' irradiance, distances of sharp ones' centres; then, for the sharp ones, what the nearest edge says too
+    /// little about their shares at the point (behind a window far too much).
     pub(super) fn seen_from(
         &self,
         hemisphere: &Hemisphere,
@@ -105,19 +109,46 @@ impl Sky {
         distance: impl Fn(Vec3) -> f32,
         out: &mut Vec<f32>,
     ) {
+        let count = self.len();
         out.clear();
-        out.resize(self.len(), 0.0);
-        if self.broad > 0 {
-            shares(self, hemisphere, blocks, &mut out[..self.broad]);
+        out.resize(count, 0.0);
+        shares(self, hemisphere, blocks, out);
+        for k in self.broad..count {
+            let (true_share, lobe) = (out[k], self.lobe(k));
+            out[k] = distance(lobe.axis);
+            let cos = hemisphere.normal.dot(lobe.axis);
+            let missed = if lobe.sharpness <= NARROWEST_SUMMED {
+                true_share - left_by_edge(VisibleShare::new(), cos, out[k], lobe.sharpness)
+            } else {
+                0.0
+            };
+            out.push(missed);
         }
-        for (k, out) in out.iter_mut().enumerate().skip(self.broad) {
-            *out = distance(self.lobe(k).axis);
-        }
+    }
+
+    /// How many numbers [`seen_from`](Self::seen_from) returns.
+    pub(super) fn seen_len(&self) -> usize {
+        2 * self.len() - self.broad
+    }
+
+    /// Where what a sharp lobe's nearest edge misses is among them.
+    #[inline(always)]
+    pub(super) fn missed_at(&self, lobe: usize) -> usize {
+        self.len() + lobe - self.broad
     }
 }
 
+/// Of what an empty surface would see of a lobe, the share that the nearest edge leaves.
+#[inline(always)]
+fn left_by_edge(share: VisibleShare, cos: f32, distance: f32, sharpness: f32) -> f32 {
+    let horizon = asin(cos);
+    let free = share.at(horizon, sharpness);
+    let left = share.at(distance.min(horizon), sharpness);
+    if free > 1e-3 { left / free } else { 0.0 }
+}
+
 wide! {
-fn irradiance(sky: &Sky, normal: Vec3, seen: &[f32]) -> Vec3 {
+fn irradiance(sky: &Sky, normal: Vec3, all: &[f32]) -> Vec3 {
     let share = VisibleShare::new();
     let mut sums = [[0.0_f32; WIDE]; 3];
     let count = sky.len();
@@ -127,7 +158,7 @@ fn irradiance(sky: &Sky, normal: Vec3, seen: &[f32]) -> Vec3 {
         };
         let [x, y, z] = sky.axis.each_ref().map(lanes);
         let (slope, bias, width) = (lanes(&sky.slope), lanes(&sky.bias), lanes(&sky.width));
-        let mut seen: [f32; WIDE] = std::array::from_fn(|k| seen[start..start + WIDE][k]);
+        let mut seen: [f32; WIDE] = std::array::from_fn(|k| all[start..start + WIDE][k]);
         let mut cos = [0.0; WIDE];
         for k in 0..WIDE {
             cos[k] = normal.x * x[k] + normal.y * y[k] + normal.z * z[k];
@@ -135,11 +166,8 @@ fn irradiance(sky: &Sky, normal: Vec3, seen: &[f32]) -> Vec3 {
         if start >= sky.broad {
             let sharpness = lanes(&sky.sharpness);
             for k in 0..WIDE {
-                // Of what an empty surface would see of the lobe, the share that the nearest edge leaves.
-                let horizon = asin(cos[k]);
-                let free = share.at(horizon, sharpness[k]);
-                let left = share.at(seen[k].min(horizon), sharpness[k]);
-                seen[k] = if free > 1e-3 { left / free } else { 0.0 };
+                let left = left_by_edge(share, cos[k], seen[k], sharpness[k]);
+                seen[k] = (left + all[sky.missed_at(start + k)]).clamp(0.0, 1.0);
             }
         }
         let colours = sky.amplitude.each_ref().map(lanes);
@@ -239,7 +267,7 @@ fn irradiance_of(sharpness: f64, cos: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use occlude_visibility::field::VisibilityMap;
+    use occlude_visibility::field::{DistanceTransform, VisibilityMap};
 
     #[test]
     fn irradiance_is_what_quadrature_says() {
@@ -276,7 +304,7 @@ mod tests {
         let mut seen = Vec::new();
         let open = VisibilityMap::new(128, true).blocks();
         sky.seen_from(&h, &open, |_| 0.0, &mut seen);
-        assert!(seen.iter().all(|share| (share - 1.0).abs() < 1e-5));
+        assert!(seen.iter().take(8).all(|share| (share - 1.0).abs() < 1e-5));
         let free = |local: Vec3| local.x > 0.2 * local.y;
         let half = VisibilityMap::from_fn(128, free).blocks();
         sky.seen_from(&h, &half, |_| 0.0, &mut seen);
@@ -299,5 +327,46 @@ mod tests {
                 part / all
             );
         }
+    }
+
+    /// At the point itself a sharp lobe behind a slit has the share of quadrature, which the nearest edge alone misses by far.
+    #[test]
+    fn slits_dim_sharp_lobes() {
+        let lobe = SphericalGaussian {
+            axis: Vec3::new(0.3, 0.8, 0.2).normalize(),
+            sharpness: 60.0,
+            amplitude: Vec3::ONE,
+        };
+        let sky = Sky::new(&SkyLobes {
+            lobes: vec![lobe],
+            ..SkyLobes::default()
+        });
+        let h = Hemisphere::new(Vec3::Y, Vec3::X);
+        let across = lobe.axis.any_orthonormal_vector();
+        let free = |w: Vec3| w.dot(across).abs() < 0.06;
+        let map = VisibilityMap::from_fn(128, |local| free(h.to_world(local)));
+        let field = DistanceTransform::default().transform(&map);
+        let mut seen = Vec::new();
+        sky.seen_from(&h, &map.blocks(), |w| field.at(&h, w), &mut seen);
+        assert_eq!(seen.len(), sky.seen_len());
+        let found = sky.irradiance(Vec3::Y, &seen).x;
+        let mut edge_alone = seen;
+        edge_alone[sky.len()..].fill(0.0);
+        let edge_alone = sky.irradiance(Vec3::Y, &edge_alone).x;
+        let n = 400_000;
+        let mut expected = 0.0;
+        for i in 0..n {
+            let y = (i as f32 + 0.5) / n as f32;
+            let (sin, cos) = (i as f32 * 2.399_963).sin_cos();
+            let r = (1.0 - y * y).sqrt();
+            let w = Vec3::new(r * cos, y, r * sin);
+            if free(w) {
+                expected += f64::from(lobe.at(w).x * y);
+            }
+        }
+        let expected = (expected * std::f64::consts::TAU / f64::from(n)) as f32;
+        println!("{found} of {expected}, by the nearest edge {edge_alone}");
+        assert!((found / expected - 1.0).abs() < 0.06);
+        assert!((edge_alone / expected - 1.0).abs() > 0.3);
     }
 }
