@@ -119,9 +119,9 @@ fn fit_matt(fit: &Fit, alpha: f64, cos_o: f64) -> f32 {
         let e = h_z * h_z * (alpha * alpha - 1.0) + 1.0;
         column[MOST] = 1.0 / (e * e * (1.0 + smith(z) + smith(cos_o)));
         column[MOST + 1] = z;
-        for k in 0..MOST {
-            let sharpness = f64::from(fit.sharpness[k]) / (alpha * alpha) / (4.0 * cos_o);
-            column[k] = (sharpness * (across - along - 1.0)).exp();
+        for (value, &of_normals) in column.iter_mut().zip(&fit.sharpness) {
+            let sharpness = f64::from(of_normals) / (alpha * alpha) / (4.0 * cos_o);
+            *value = (sharpness * (across - along - 1.0)).exp();
         }
     }
     let mut sums = [0.0; MOST + 2];

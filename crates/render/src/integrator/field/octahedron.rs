@@ -186,14 +186,16 @@ fn add_lobe(tile: &Tile, axis: Vec3, sharpness: f32, sum: &mut [f32; 4]) {
     let [x, y, z, r, g, b, solid] = &tile.columns;
     let mut sums = [[0.0_f32; TILE]; 4];
     for start in (0..TEXELS).step_by(TILE) {
-        for lane in 0..TILE {
-            let k = start + lane;
+        let mut values = [0.0; TILE];
+        for (k, value) in (start..).zip(&mut values) {
             let cos = axis.x * x[k] + axis.y * y[k] + axis.z * z[k];
-            let value = exp(sharpness * (cos - 1.0));
-            sums[0][lane] += value * r[k];
-            sums[1][lane] += value * g[k];
-            sums[2][lane] += value * b[k];
-            sums[3][lane] += value * solid[k];
+            *value = exp(sharpness * (cos - 1.0));
+        }
+        for (sums, column) in sums.iter_mut().zip([r, g, b, solid]) {
+            let column = &column[start..start + TILE];
+            for ((sum, value), v) in sums.iter_mut().zip(&values).zip(column) {
+                *sum += value * v;
+            }
         }
     }
     for (sum, lanes) in sum.iter_mut().zip(&sums) {

@@ -47,7 +47,7 @@ pub(super) fn irradiance(corners: [Vec3; 3], normal: Vec3) -> f32 {
 
 /// Gauss-Legendre nodes and weights on `[-1, 1]`, the positive half.
 const NODES: [(f32, f32); 3] = [
-    (0.238_619_19, 0.467_913_93),
+    (0.238_619_2, 0.467_913_93),
     (0.661_209_4, 0.360_761_57),
     (0.932_469_5, 0.171_324_49),
 ];
