@@ -24,8 +24,9 @@ pub struct Stage<'a> {
     /// The view in a size.
     pub view: &'a (dyn Fn([u32; 2]) -> View + Sync),
     pub bounds: BoundingSphere,
-    /// Point and spot lights.
+    /// Point and spot lights, and those in one exact direction.
     pub points: usize,
+    pub directions: usize,
 }
 
 /// What is rendered.
@@ -170,6 +171,13 @@ impl<'a> Stage<'a> {
             samples_per_pixel: Some(task.samples),
             pixels: u64::from(task.size[0]) * u64::from(task.size[1]),
             points: self.points,
+            directions: self.directions,
+            virtual_lights: match task.integrator {
+                Integrator::InstantRadiosity(radiosity) if radiosity.max_depth > 1 => {
+                    radiosity.vpls
+                }
+                _ => 0,
+            },
             seed: task.seed,
         }
         .settings();

@@ -276,14 +276,16 @@ impl Subject {
         let lights = Lights::new(&scene, &pose, environment, LightSelection::Tree);
         let (min, max) = bounds(&scene, &pose);
         let change = self.change;
+        let directions = (scene.lights.iter())
+            .filter(|light| matches!(light.kind, LightKind::Directional { .. }))
+            .count();
         let stage = Stage {
             geometry: &geometry,
             lights: &lights,
             view: &|[width, height]| view(&scene, &pose, change, (min, max), width, height),
             bounds: BoundingSphere::around(min, max),
-            points: (scene.lights.iter())
-                .filter(|light| !matches!(light.kind, LightKind::Directional { .. }))
-                .count(),
+            points: scene.lights.len() - directions,
+            directions,
         };
         work(&stage, report);
         report.save();

@@ -145,8 +145,8 @@ fn quantized(
         Integrator::Bidirectional => Asks::Pairs,
         Integrator::InstantRadiosity => Asks::Many,
     };
-    let points = (scene.lights.iter())
-        .filter(|light| !matches!(light.kind, LightKind::Directional { .. }))
+    let directions = (scene.lights.iter())
+        .filter(|light| matches!(light.kind, LightKind::Directional { .. }))
         .count();
     let settings = options.settings(&Workload {
         asks,
@@ -154,7 +154,9 @@ fn quantized(
         sequence: frames,
         samples_per_pixel: args.known_samples(),
         pixels: u64::from(args.size.width) * u64::from(args.size.height),
-        points,
+        points: scene.lights.len() - directions,
+        directions,
+        virtual_lights: if args.max_depth > 1 { args.vpls } else { 0 },
         seed: context.common.seed,
     });
     let copies = match settings.share {

@@ -190,6 +190,8 @@ mod tests {
             samples_per_pixel: Some(9),
             pixels: 64,
             points: 1,
+            directions: 0,
+            virtual_lights: 0,
             seed: 7,
         });
         assert_eq!(

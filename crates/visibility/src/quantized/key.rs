@@ -12,6 +12,7 @@
 //! * Eq. 9: the printed resolution is too small by 4 pi, see [`sky_resolution`].
 
 use super::digest::{fold, mix};
+use crate::LightEnd;
 use glam::{Vec2, Vec3};
 use std::f32::consts::{FRAC_2_PI, PI};
 
@@ -129,6 +130,23 @@ impl LightKey {
             }
         };
         (words, count)
+    }
+}
+
+/// The name of a light that many eyes ask about: its exact place. `None` if it has none.
+///
+/// Unlike the ends of single questions, which never come back, such a light needs no patch to be asked about often. And it must have none: by
+/// Eq. 9 a sky of 256 samples has patches of 13 degrees, where a window's light falls elsewhere for every direction.
+pub(super) fn light_name(end: &LightEnd) -> Option<u64> {
+    let three = |kind: u64, at: Vec3| {
+        let [x, y, z] = at.to_array().map(|v| u64::from(v.to_bits()));
+        at.is_finite().then(|| mix(fold(kind, z), x << 32 | y))
+    };
+    match end {
+        LightEnd::Point(position) => three(0, *position),
+        LightEnd::Direction(direction) => three(1, *direction),
+        LightEnd::Surface(end) => Some(mix(three(2, end.position)?, three(2, end.normal)?)),
+        LightEnd::SolidAngle { direction, .. } => three(3, *direction),
     }
 }
 

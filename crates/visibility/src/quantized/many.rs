@@ -13,7 +13,7 @@
 //! keyed by cell and block: once a cell and block, not once a question. In a sequence of pictures the words come from what
 //! [earlier pictures](super::past) knew.
 
-use super::key::{Cell, Grids, nearest_power_of_two};
+use super::key::{Cell, Grids, light_name, nearest_power_of_two};
 use super::past::{self, Learnt, Note, Past};
 use super::table::{BlockTable, BlockWord};
 use super::{Decisions, Guarantee, Quantized, QuantizedWorker, known, mix};
@@ -134,7 +134,7 @@ pub(super) fn answer<T: Tracer>(
     // What other tiles and pictures are to find has a name of its own in no epoch.
     let salt = past.map_or(decisions.salt, |_| 0);
     scratch.calls += 1;
-    let (eye_passes, light_passes) = strategy.passes(*epoch);
+    let (eye_passes, _) = strategy.passes(*epoch);
     let count = eyes.len();
     for reach in &mut scratch.reaches {
         reach.extent = None;
@@ -158,7 +158,7 @@ pub(super) fn answer<T: Tracer>(
                 .filter(|&l| Extent::of(strategy, &lights[l], eye_passes) == extent)
                 .fold(0u16, |mask, l| mask | 1 << l);
             left &= !alike;
-            let group = Group::new(strategy, lights, alike, light_passes, salt);
+            let group = Group::new(lights, alike, salt);
             let traced = stats.traced;
             let asked = if extent.error > 0.0 && group.clustered {
                 let reach = scratch.reach(strategy, eyes, extent, eye_passes);
@@ -207,70 +207,26 @@ impl Extent {
 struct Group {
     /// The lights of the group.
     lights: u16,
-    /// Lights whose patch another light of the group shares: the bits of all that share it, by light.
-    patch: [u16; BLOCK],
-    /// Some patch has several lights.
-    shared_patches: bool,
-    /// All lights have keys.
+    /// All lights have names.
     clustered: bool,
-    /// Identifies the block's patches by their content, so that other lights never read these answers.
+    /// Identifies the lights, so that others never read these answers.
     hash: u64,
 }
 
 impl Group {
-    fn new(
-        strategy: &Quantized,
-        lights: &[SharedLight],
-        members: u16,
-        passes: f32,
-        salt: u64,
-    ) -> Self {
-        let mut keys = [None; BLOCK];
+    fn new(lights: &[SharedLight], members: u16, salt: u64) -> Self {
         let mut hash = mix(salt, u64::from(members));
         let mut clustered = true;
         for l in bits(members) {
-            let light = &lights[l];
-            keys[l] = strategy.light_key(&light.end, light.connections, passes);
-            clustered &= keys[l].is_some();
-            hash = mix(hash, keys[l].map_or(0, |key| key.half()));
-        }
-        let mut patch = [0u16; BLOCK];
-        for l in bits(members) {
-            patch[l] = bits(members)
-                .filter(|&other| keys[other] == keys[l])
-                .fold(0, |mask, other| mask | 1 << other);
+            let name = light_name(&lights[l].end);
+            clustered &= name.is_some();
+            hash = mix(hash, name.unwrap_or(0));
         }
         Self {
             lights: members,
-            shared_patches: bits(members).any(|l| patch[l].count_ones() > 1),
-            patch,
             clustered,
             hash,
         }
-    }
-
-    /// All lights whose patches these lights lie in.
-    fn with_patches(&self, lights: u16) -> u16 {
-        if self.shared_patches {
-            bits(lights).fold(0, |mask, l| mask | self.patch[l])
-        } else {
-            lights
-        }
-    }
-
-    /// One light of each patch.
-    fn leaders(&self, lights: u16) -> u16 {
-        if !self.shared_patches {
-            return lights;
-        }
-        let mut left = lights;
-        let mut leaders = 0;
-        while left != 0 {
-            let l = left.trailing_zeros() as usize;
-            leaders |= 1 << l;
-            left &= !self.patch[l];
-        }
-        leaders
     }
 }
 
@@ -364,7 +320,7 @@ impl Scratch {
                     level.recall(past, column);
                 }
                 self.claim(level, group, behind);
-                self.trace(tracer, eyes, lights, Some((level, group)), stats);
+                self.trace(tracer, eyes, lights, Some(level), stats);
                 self.store(level, group, behind, stats);
                 let last = depth + 1 == levels;
                 self.refine(strategy, level, segment, depth, last, decisions);
@@ -423,16 +379,15 @@ impl Scratch {
                     continue;
                 }
             }
-            let claimed = group.leaders(unknown);
-            for l in bits(claimed) {
+            for l in bits(unknown) {
                 self.claims[l].push(Claim {
                     cell,
                     ..Claim::exact(active.eye)
                 });
             }
-            word.answers.known |= group.with_patches(claimed);
+            word.answers.known |= unknown;
             level.learning.push(cell);
-            active.lights &= !claimed;
+            active.lights &= !unknown;
             if behind.is_some() {
                 self.touched.push(cell);
             }
@@ -445,7 +400,7 @@ impl Scratch {
         tracer: &T,
         eyes: &[EyeSample],
         lights: &[SharedLight],
-        mut clusters: Option<(&mut Level, &Group)>,
+        mut clusters: Option<&mut Level>,
         stats: &mut VisibilityStats,
     ) {
         for (l, claims) in self.claims.iter_mut().enumerate() {
@@ -483,10 +438,8 @@ impl Scratch {
                         amount,
                     });
                 }
-                if let (Some((level, group)), false, true) =
-                    (&mut clusters, occluded, claim.cell != NONE)
-                {
-                    level.words[claim.cell as usize].answers.visible |= group.patch[l];
+                if let (Some(level), false, true) = (&mut clusters, occluded, claim.cell != NONE) {
+                    level.words[claim.cell as usize].answers.visible |= 1 << l;
                 }
             }
             claims.clear();

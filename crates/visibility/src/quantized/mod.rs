@@ -11,6 +11,7 @@
 //! * single questions ([`Visibility::answer`]) go through one hash table, a word of 32 bits a key;
 //! * many lights ([`Visibility::answer_many`]) first number the cells of all eyes, and then keep the answers of 16 lights
 //!   in one word of a small array, without hashing: a look-up with its neighbours costs less than a nanosecond a question.
+//!   Such lights have no patches: they come back as they are, so their exact place is their half of the key.
 //!   A hash table of blocks behind it remembers for other tiles and passes, if [`Share`] says so.
 //!
 //! | [`Guarantee`] | answers | costs |

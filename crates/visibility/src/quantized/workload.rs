@@ -32,9 +32,18 @@ pub struct Workload {
     pub pixels: u64,
     /// Point and spot lights of the scene.
     pub points: usize,
+    /// Lights of the scene in one exact direction.
+    pub directions: usize,
+    /// Virtual lights.
+    pub virtual_lights: u32,
     /// Seed of the checks of [`Guarantee::Unbiased`].
     pub seed: u64,
 }
+
+/// How many virtual lights there must be for each light without extent, if those are to be traced exactly: their hard shadows are what one sees
+/// first, and then their rays are few. In sponza (one sun, 256 virtual lights) that costs a tenth more rays and takes the squared error down from
+/// 1.5 to 0.0008.
+const LONE: u64 = 256;
 
 /// From how many point lights on errors of each may reach farther.
 const MANY_POINTS: usize = 16;
@@ -61,6 +70,8 @@ impl Workload {
     ///     samples_per_pixel: Some(9),
     ///     pixels: 1280 * 800,
     ///     points: 96,
+    ///     directions: 0,
+    ///     virtual_lights: 1024,
     ///     seed: 0,
     /// };
     /// let settings = work.settings();
@@ -105,6 +116,11 @@ impl Workload {
                 area: 40.0,
                 sky: 40.0,
             },
+            (Asks::Many, _) if self.has_lone_lights() => ErrorReach {
+                point: 0.0,
+                direction: 0.0,
+                ..usual
+            },
             // A hard shadow shows every error, but of many each brings little: about four pixels then.
             (Asks::Many, _) if self.points >= MANY_POINTS => {
                 let together = self.samples_per_pixel.unwrap_or(1).min(16) as f32;
@@ -115,6 +131,11 @@ impl Workload {
             }
             _ => usual,
         }
+    }
+
+    fn has_lone_lights(&self) -> bool {
+        let without_extent = self.points.saturating_add(self.directions) as u64;
+        without_extent.saturating_mul(LONE) <= u64::from(self.virtual_lights)
     }
 
     /// Tiles remember enough for themselves where they ask about the same lights in every pixel.
