@@ -10,6 +10,8 @@
 //! Distances change by no more than the direction does, and weights of sample points slowly, so that the error is bounded by how far a pixel is
 //! from what its anchors predict: its place, its normal, and the axis of its reflection in widths of the lobe. Pixels that are not as
 //! predicted (edges, bumps) are shaded one by one: that is the slow twin, which tests compare with.
+//!
+//! The wrong tool where hardly any pixel is as predicted (hair, foliage): anchors then only add to the work.
 
 use super::eyes::Eye;
 use super::lamps::Distances;

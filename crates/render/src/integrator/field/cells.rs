@@ -1,4 +1,6 @@
 //! What of a lobe a pixel sees, by cells of its field (Wang et al. 2013, Eq. 5): no hemisphere approximation, and no hurry.
+//!
+//! The wrong tool for frames: every cell of the field is visited for every product of lobes. It is there to be compared with (`--cells`).
 
 use super::points::Points;
 use super::sky::Sky;
