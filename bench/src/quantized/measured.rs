@@ -74,7 +74,7 @@ pub struct Part {
 }
 
 impl Part {
-    fn add(&mut self, other: &Self) {
+    pub fn add(&mut self, other: &Self) {
         self.queries += other.queries;
         self.traced += other.traced;
         self.total += other.total;
