@@ -1,7 +1,7 @@
 //! What a bake leaves: light maps, previews, the scene with its second UV set, the manifest, the viewer's page.
 
-use super::Setup;
 use super::args::{BakeArgs, DirectionalName, EngineName};
+use super::setup::Setup;
 use crate::context::Context;
 use crate::error::CliError;
 use crate::output;
