@@ -6,6 +6,7 @@
 //! * [`gather`] finds the light at points by path tracing;
 //! * [`bundle`] gathers light along many directions, for all texels at once, into [`sums`];
 //! * [`rounds`] bakes: round by round into a [`state`] that can be stopped, written, merged and gone on with;
+//! * [`store`] keeps what is larger than memory on disk meanwhile;
 //! * [`plan`] says beforehand what that will take;
 //! * [`baked`] shows surfaces in the light of their maps;
 //! * [`finish`] repairs, smooths and joins what was gathered;
@@ -23,5 +24,6 @@ pub mod plan;
 pub mod rounds;
 pub mod sky;
 pub mod state;
+pub mod store;
 pub mod sums;
 pub mod texel;

@@ -13,6 +13,9 @@ const EVERY: u32 = 61;
 /// Fewer batches say nothing about their spread.
 const LEAST_BATCHES: u32 = 4;
 
+/// Sides that are looked at between two times that sums on disk may leave memory.
+const WATCHED_TOGETHER: usize = 1 << 11;
+
 /// What is known of one side.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Watched {
@@ -55,6 +58,9 @@ impl Noise {
     pub fn end_batch(&mut self, sums: &Sums) {
         for (k, watched) in self.watched.iter_mut().enumerate() {
             let side = k as u32 * EVERY;
+            if k % WATCHED_TOGETHER == 0 {
+                sums.release();
+            }
             let mut run = sums.lock(sums.run_of(side));
             let index = (side - run.first()) as usize;
             let sum = run.sums()[index];
@@ -68,6 +74,7 @@ impl Noise {
             watched.wl += w * l;
             watched.ll += l * l;
         }
+        sums.release();
         self.batches += 1;
     }
 

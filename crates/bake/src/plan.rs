@@ -9,10 +9,12 @@ use crate::bundle::{self, Directions, Radiance};
 use crate::export::FINISHING_BYTES_PER_TEXEL;
 use crate::gather::Gatherer;
 use crate::rounds::{Bake, GatherKind, Light, Round, RoundKind};
+use crate::store::{STRETCH, Spill, Store, WINDOWS};
 use crate::sums::Sums;
 use glam::Vec3;
 use occlude_render::job::Job;
 use rayon::prelude::*;
+use std::io;
 use std::time::Instant;
 
 /// Bytes that a bake will hold beside the scene, its hierarchy and its atlas.
@@ -75,9 +77,10 @@ impl Bake<'_> {
         let sides = u64::from(self.sides());
         let map = size_of::<Vec3>() as u64 * sides;
         let units = (0..self.rounds().len() as u32).map(|round| self.units_of(round));
-        let state = Sums::bytes(self.sides())
-            + 4 * u64::from(units.max().unwrap_or(0))
-            + crate::noise::Noise::bytes(self.sides());
+        // What is in memory, beside what may be on disk.
+        let fixed =
+            4 * u64::from(units.max().unwrap_or(0)) + crate::noise::Noise::bytes(self.sides());
+        let state = Sums::bytes(self.sides());
         let has = |kind| self.rounds().iter().any(|round| round.kind == kind);
         let texels = u64::from(self.subject.texels.atlas.texels());
         let moments = if self.settings.directional {
@@ -90,12 +93,10 @@ impl Bake<'_> {
         } else {
             0
         };
-        let transport = match self.subject.triangles {
-            Some(triangles) => {
-                Radiance::bytes(self.sides()) + 6 * u64::from(triangles.sides().fronts_count())
-            }
-            None => 0,
-        };
+        let (radiance, albedo) = self.subject.triangles.map_or((0, 0), |triangles| {
+            let fronts = triangles.sides().fronts_count();
+            (Radiance::bytes(self.sides()), 6 * u64::from(fronts))
+        });
         let threads = rayon::current_num_threads() as u64;
         let largest = self
             .subject
@@ -105,18 +106,23 @@ impl Bake<'_> {
             .iter()
             .map(|page| page.texels());
         let largest = u64::from(largest.max().unwrap_or(0));
+        let all = state + maps + moments;
+        let kept = fixed + self.tiny.bytes();
+        let (gathering, writing) = if self.store.is_on_disk() {
+            // A stretch of everything; a window of the sums; what waits for it. A page while it is written.
+            let share = |part: u64| all * part / u64::from(self.sides().max(1));
+            let page = share(largest);
+            let stretch = share(2 * u64::from(STRETCH)) + 6 * u64::from(STRETCH);
+            let spills = if radiance > 0 { 2 * Spill::BYTES } else { 0 };
+            let window = state / WINDOWS as u64;
+            (kept + stretch + spills + window, kept + page)
+        } else {
+            (kept + all + albedo, kept + all)
+        };
         Memory {
-            gathering: state
-                + maps
-                + moments
-                + transport
-                + self.tiny.bytes()
-                + threads * WORKER_BYTES,
+            gathering: gathering + radiance + threads * WORKER_BYTES,
             buffers: self.buffers(&self.settings.bundles),
-            writing: state
-                + maps
-                + moments
-                + self.tiny.bytes()
+            writing: writing
                 + (largest * WRITING_BYTES_PER_TEXEL).max(scene_file * SCENE_FILE_COPIES),
         }
     }
@@ -143,18 +149,23 @@ impl Bake<'_> {
         }
     }
 
-    /// Bytes of a texel while light is gathered in rounds, and by paths alone: what every bake of so many texels holds at least.
-    pub fn least_bytes_per_texel(gather: GatherKind) -> u64 {
+    /// Bytes of a texel while light is gathered in rounds, and by paths alone: what every bake of so many texels holds in memory at least.
+    pub fn least_bytes_per_texel(gather: GatherKind, store: &Store) -> u64 {
         let sums = size_of::<crate::sums::Sum>() as u64;
-        match gather {
+        match (gather, store.is_on_disk()) {
             // The light of two maps, radiance, albedo.
-            GatherKind::Bundles => sums + 2 * size_of::<Vec3>() as u64 + 4 + 6,
-            GatherKind::Path => sums,
+            (GatherKind::Bundles, false) => sums + 2 * size_of::<Vec3>() as u64 + 4 + 6,
+            (GatherKind::Path, false) => sums,
+            (GatherKind::Bundles, true) => 4,
+            (GatherKind::Path, true) => 0,
         }
     }
 
     /// Does a little of every round.
-    pub fn estimate(&self, job: &Job) -> Estimate {
+    ///
+    /// # Errors
+    /// The store has no room, or fails.
+    pub fn estimate(&self, job: &Job) -> io::Result<Estimate> {
         let mut estimate = Estimate::default();
         let triangles: usize = {
             let geometry = self.subject.world.geometry;
@@ -176,7 +187,10 @@ impl Bake<'_> {
                     (seconds, rays * ray * 0.5e-9, rays)
                 }
                 RoundKind::Sky | RoundKind::Reflected => {
-                    let (seconds, fragments) = *bundle.get_or_insert_with(|| self.try_bundles(job));
+                    let (seconds, fragments) = match bundle {
+                        Some(known) => known,
+                        None => *bundle.insert(self.try_bundles(job)?),
+                    };
                     let all = f64::from(round.total);
                     let pixels = f64::from(self.settings.bundles.analysis).powi(2);
                     let priced = triangles as f64 * TRIANGLE
@@ -190,7 +204,7 @@ impl Bake<'_> {
             estimate.priced += priced;
             estimate.rays += rays;
         }
-        estimate
+        Ok(estimate)
     }
 
     /// Seconds and rays of a round of samples.
@@ -228,12 +242,13 @@ impl Bake<'_> {
 
     /// Seconds and fragments of one direction. Seconds come from as many directions as it takes to know them, fragments always from the
     /// same.
-    fn try_bundles(&self, job: &Job) -> (f64, f64) {
+    fn try_bundles(&self, job: &Job) -> io::Result<(f64, f64)> {
         let Some(triangles) = self.subject.triangles else {
-            return (0.0, 0.0);
+            return Ok((0.0, 0.0));
         };
         let radiance = Radiance::new(self.sides(), 1.0, |_| Vec3::ONE);
-        let sums = Sums::new(self.sides(), bundle::unit(1.0, MOST_TRIED));
+        let unit = bundle::unit(1.0, MOST_TRIED);
+        let sums = Sums::new_in(&self.store, self.sides(), unit, 0)?;
         let directions = Directions {
             seed: self.settings.seed,
             round: u32::MAX,
@@ -266,7 +281,8 @@ impl Bake<'_> {
             next += COUNTED;
             seconds += began.elapsed().as_secs_f64();
         }
-        (seconds / f64::from((next - COUNTED).max(1)), fragments)
+        sums.check()?;
+        Ok((seconds / f64::from((next - COUNTED).max(1)), fragments))
     }
 }
 

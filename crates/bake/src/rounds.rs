@@ -17,15 +17,17 @@ mod tiny;
 use crate::bundle::{self, Sides, Triangles};
 use crate::gather::Part;
 use crate::noise::Noise;
-use crate::state::{Header, State};
+use crate::state::{Before, Header, State};
+use crate::store::Store;
 use crate::sums::Sums;
 use crate::texel::Texels;
 use glam::Vec3;
 use half::f16;
+use occlude_bvh::Buffer;
 use occlude_render::integrator::World;
 use occlude_render::job::Job;
 use occlude_render::light::Environment;
-use rayon::prelude::*;
+use std::io;
 use std::ops::Range;
 use std::time::{Duration, Instant};
 pub(crate) use tiny::Light;
@@ -245,13 +247,25 @@ pub struct Bake<'a> {
     fingerprint: u64,
     notes: String,
     /// Lambert albedo by front; for bundles.
-    albedo: Vec<[f16; 3]>,
+    albedo: Buffer<[f16; 3]>,
+    /// Where arrays over all sides are kept.
+    pub(crate) store: Store,
     pub(crate) tiny: TinyTexels,
 }
 
 impl<'a> Bake<'a> {
-    /// Prepares. `fingerprint` tells this work from others; `notes` travel with its files.
-    pub fn new(subject: Subject<'a>, settings: Settings, fingerprint: u64, notes: String) -> Self {
+    /// Prepares. `store`: where arrays over all sides are kept, which does not change results; `fingerprint` tells this work from others; `notes`
+    /// travel with its files.
+    ///
+    /// # Errors
+    /// The store has no room.
+    pub fn new(
+        subject: Subject<'a>,
+        settings: Settings,
+        store: Store,
+        fingerprint: u64,
+        notes: String,
+    ) -> io::Result<Self> {
         let rounds = rounds(&settings, subject.sky.is_some());
         let mut patches = Vec::new();
         for (page, size) in subject.texels.atlas.pages.iter().enumerate() {
@@ -270,9 +284,9 @@ impl<'a> Bake<'a> {
             }
         }
         let albedo = if rounds.iter().any(|r| r.kind == RoundKind::Reflected) {
-            bundles::albedo(&subject)
+            bundles::albedo(&subject, &store)?
         } else {
-            Vec::new()
+            Buffer::default()
         };
         let by_bundles = |r: &Round| matches!(r.kind, RoundKind::Sky | RoundKind::Reflected);
         let tiny = if rounds.iter().any(by_bundles) {
@@ -280,7 +294,7 @@ impl<'a> Bake<'a> {
         } else {
             TinyTexels::default()
         };
-        Self {
+        Ok(Self {
             tiny,
             subject,
             settings,
@@ -289,7 +303,8 @@ impl<'a> Bake<'a> {
             fingerprint,
             notes,
             albedo,
-        }
+            store,
+        })
     }
 
     /// Lists of triangles hold at most so many entries, which does not change results.
@@ -318,25 +333,26 @@ impl<'a> Bake<'a> {
         }
     }
 
-    /// The beginning of a round; `share` of its items are wanted, `(0, 1)` is all. The maps are those of the rounds before.
+    /// The beginning of a round; `share` of its items are wanted, `(0, 1)` is all.
+    ///
+    /// # Errors
+    /// The store has no room.
     pub fn begin(
         &self,
         round: u32,
         (index, count): (u32, u32),
-        direct: Vec<Vec3>,
-        previous: Vec<Vec3>,
-        direct_moments: Vec<Vec3>,
-    ) -> State {
+        before: Before,
+    ) -> io::Result<State> {
         let total = self.rounds[round as usize].total;
         let unit = match self.rounds[round as usize].kind {
             RoundKind::Paths | RoundKind::Direct => self.path_unit(round),
             RoundKind::Sky | RoundKind::Reflected => {
-                let brightest = self.brightest(&direct, &previous);
+                let brightest = self.brightest(&before);
                 bundle::unit(brightest, total.min(MOST_COUNTED))
             }
         };
         let moments = self.moments_of(round);
-        State {
+        Ok(State {
             header: Header {
                 fingerprint: self.fingerprint,
                 sides: self.sides(),
@@ -345,19 +361,17 @@ impl<'a> Bake<'a> {
                 total,
                 items: occlude_render::work::shard_samples(total, index, count),
                 units: self.units_of(round),
-                has_direct: !direct.is_empty(),
-                has_previous: !previous.is_empty(),
-                moments: [moments, direct_moments.len() as u32],
+                has_direct: !before.direct.is_empty(),
+                has_previous: !before.previous.is_empty(),
+                moments: [moments, before.direct_moments.len() as u32],
                 unit: [unit.radiance, unit.weight],
                 notes: self.notes.clone(),
             },
-            direct,
-            previous,
-            direct_moments,
+            before,
             done: vec![0; self.units_of(round) as usize],
-            sums: Sums::new(self.sides(), unit).with_moments(moments),
+            sums: Sums::new_in(&self.store, self.sides(), unit, moments)?,
             noise: Noise::new(self.sides()),
-        }
+        })
     }
 
     /// Whether a state's round is the last.
@@ -366,36 +380,39 @@ impl<'a> Bake<'a> {
     }
 
     /// From a round that is done to the next one.
-    pub fn next_round(&self, state: State, share: (u32, u32)) -> State {
+    ///
+    /// # Errors
+    /// The store has no room.
+    pub fn next_round(&self, state: State, share: (u32, u32)) -> io::Result<State> {
         let round = state.header.round;
-        let sides = state.header.sides;
+        let sides = state.header.sides as usize;
         let State {
-            mut direct,
-            mut previous,
-            mut direct_moments,
-            sums,
-            ..
+            mut before, sums, ..
         } = state;
         if self.rounds[round as usize].kind == RoundKind::Direct {
-            direct = vec![Vec3::ZERO; sides as usize];
-            develop(&sums, &mut direct);
+            before.direct = self.store.zeroed(sides)?;
+            develop(&sums, None, &mut before.direct);
             if let Some(moments) = sums.moments() {
-                direct_moments = vec![Vec3::ZERO; moments.len() as usize];
-                develop(moments, &mut direct_moments);
+                before.direct_moments = self.store.zeroed(moments.len() as usize)?;
+                develop(moments, None, &mut before.direct_moments);
             }
-            previous = Vec::new();
+            before.previous = Buffer::default();
         } else {
-            previous.resize(sides as usize, Vec3::ZERO);
-            develop(&sums, &mut previous);
-            let pairs = previous.par_iter_mut().zip(&direct);
-            pairs.for_each(|(all, direct)| *all += *direct);
+            if before.previous.is_empty() {
+                before.previous = self.store.zeroed(sides)?;
+            }
+            let direct = Some(&before.direct).filter(|direct| !direct.is_empty());
+            develop(&sums, direct, &mut before.previous);
         }
         drop(sums);
-        self.begin(round + 1, share, direct, previous, direct_moments)
+        self.begin(round + 1, share, before)
     }
 
     /// Goes on with a state until its part of its round is done, or `stop` or the job say stop. `at_rest` is called now and then with a
     /// state that can be written.
+    ///
+    /// # Errors
+    /// The store could not be written or read: the state is worth nothing then.
     pub fn run_round(
         &self,
         state: &mut State,
@@ -403,7 +420,7 @@ impl<'a> Bake<'a> {
         job: &Job,
         report: &mut Report,
         at_rest: &mut dyn FnMut(&State),
-    ) -> Ended {
+    ) -> io::Result<Ended> {
         let round = self.rounds[state.header.round as usize];
         let began = Instant::now();
         let until = Until {
@@ -415,7 +432,7 @@ impl<'a> Bake<'a> {
                 self.sample(round, state, until, job, report, at_rest)
             }
             RoundKind::Sky | RoundKind::Reflected => {
-                self.bundle(round, state, until, job, report, at_rest)
+                self.bundle(round, state, until, job, report, at_rest)?
             }
         };
         report
@@ -423,7 +440,7 @@ impl<'a> Bake<'a> {
             .push((round.name, began.elapsed().as_secs_f64()));
         let error = state.noise.relative_error();
         report.noise = error.is_finite().then_some(error);
-        ended
+        Ok(ended)
     }
 
     /// Sides whose first moments a round gathers: all texels in those rounds that show in the result.
@@ -454,7 +471,7 @@ impl<'a> Bake<'a> {
     /// First moment of the light at a texel when the last round is done: luminance times cosine times the unit vector to where it comes
     /// from, over all directions. 0 unless [`Settings::directional`].
     pub fn moment(&self, state: &State, texel: u32) -> Vec3 {
-        let direct = state.direct_moments.get(texel as usize).copied();
+        let direct = state.before.direct_moments.get(texel as usize).copied();
         let gathered = state.sums.moments().and_then(|m| m.irradiance(texel));
         direct.unwrap_or_default() + gathered.unwrap_or_default()
     }
@@ -462,7 +479,7 @@ impl<'a> Bake<'a> {
     /// Irradiance of a texel when the last round is done, W/m². `None`: nothing is known about it.
     pub fn irradiance(&self, state: &State, texel: u32) -> Option<Vec3> {
         let gathered = state.sums.irradiance(texel);
-        let direct = state.direct.get(texel as usize);
+        let direct = state.before.direct.get(texel as usize);
         let last = self.rounds.last().map(|round| round.kind);
         match (last, self.settings.part) {
             (Some(RoundKind::Direct), Part::Indirect) => gathered.map(|_| Vec3::ZERO),
@@ -481,15 +498,23 @@ impl<'a> Subject<'a> {
     }
 }
 
-/// The irradiance of all sides; 0 where nothing is known.
-fn develop(sums: &Sums, map: &mut [Vec3]) {
-    let mut rest = map;
+/// The irradiance of all sides, 0 where nothing is known, and that of `more`.
+fn develop(sums: &Sums, more: Option<&Buffer<Vec3>>, map: &mut Buffer<Vec3>) {
     for run in 0..sums.runs() {
         let mut locked = sums.lock(run);
-        let (here, after) = rest.split_at_mut(locked.sums().len());
-        for (value, sum) in here.iter_mut().zip(locked.sums()) {
+        let first = locked.first() as usize;
+        for (value, sum) in map[first..].iter_mut().zip(locked.sums()) {
             *value = sums.develop(*sum).unwrap_or(Vec3::ZERO);
         }
-        rest = after;
+        if let Some(more) = more {
+            let values = map[first..first + locked.sums().len()].iter_mut();
+            values
+                .zip(&more[first..])
+                .for_each(|(all, more)| *all += *more);
+            more.release();
+        }
+        drop(locked);
+        sums.release();
+        map.release();
     }
 }

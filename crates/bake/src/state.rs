@@ -4,8 +4,10 @@
 //! A file is a header (JSON with its length in front) and arrays whose lengths follow from the header and must agree with
 //! the work at hand: nothing is allocated because a file claims a size. All numbers are little-endian.
 
+use crate::store::Store;
 use crate::sums::{Sums, SumsError, Unit};
 use glam::Vec3;
+use occlude_bvh::Buffer;
 use serde::{Deserialize, Serialize};
 use std::io::{Read, Write};
 use std::ops::Range;
@@ -69,17 +71,35 @@ impl From<SumsError> for StateError {
     }
 }
 
+/// What the rounds before have found.
+#[derive(Debug, Default)]
+pub struct Before {
+    /// Irradiance by side that the first round has found, W/m²; empty before its end.
+    pub direct: Buffer<Vec3>,
+    /// Irradiance by side of the round before, W/m²; empty in the first rounds.
+    pub previous: Buffer<Vec3>,
+    /// First moments of the light that the first round has found, by texel; empty unless directions are wanted.
+    pub direct_moments: Buffer<Vec3>,
+}
+
+impl Before {
+    fn maps(&self) -> [&Buffer<Vec3>; 3] {
+        [&self.direct, &self.previous, &self.direct_moments]
+    }
+
+    /// Lets maps on disk leave memory until they are touched again.
+    pub fn release(&self) {
+        self.maps().into_iter().for_each(Buffer::release);
+    }
+}
+
 /// What has been gathered so far.
 #[derive(Debug)]
 pub struct State {
     /// Whose it is.
     pub header: Header,
-    /// Irradiance by side that the first round has found, W/m²; empty before its end.
-    pub direct: Vec<Vec3>,
-    /// Irradiance by side of the round before, W/m²; empty in the first rounds.
-    pub previous: Vec<Vec3>,
-    /// First moments of the light that the first round has found, by texel; empty unless directions are wanted.
-    pub direct_moments: Vec<Vec3>,
+    /// What the rounds before have found.
+    pub before: Before,
     /// Items of this part that are in the sums, by unit of work; counted from `header.items.start`.
     pub done: Vec<u32>,
     /// Sums of this round.
@@ -124,14 +144,20 @@ impl State {
         self.min_done() as usize >= self.header.items.len()
     }
 
+    /// Lets what is on disk leave memory until it is touched again.
+    pub fn release(&self) {
+        self.before.release();
+        self.sums.release();
+    }
+
     /// Writes the state.
     pub fn write(&self, out: &mut (impl Write + ?Sized)) -> std::io::Result<()> {
         let header = Header {
-            has_direct: !self.direct.is_empty(),
-            has_previous: !self.previous.is_empty(),
+            has_direct: !self.before.direct.is_empty(),
+            has_previous: !self.before.previous.is_empty(),
             moments: [
                 self.sums.moments().map_or(0, Sums::len),
-                self.direct_moments.len() as u32,
+                self.before.direct_moments.len() as u32,
             ],
             units: self.done.len() as u32,
             unit: [self.sums.unit().radiance, self.sums.unit().weight],
@@ -141,8 +167,9 @@ impl State {
         out.write_all(&MAGIC)?;
         out.write_all(&(text.len() as u64).to_le_bytes())?;
         out.write_all(&text)?;
-        for map in [&self.direct, &self.previous, &self.direct_moments] {
+        for map in self.before.maps() {
             for chunk in map.chunks(CHUNK) {
+                map.release();
                 let numbers = chunk.iter().flat_map(|v| v.to_array());
                 out.write_all(&numbers.flat_map(f32::to_le_bytes).collect::<Vec<u8>>())?;
             }
@@ -153,9 +180,10 @@ impl State {
         self.sums.write(&mut &mut *out)
     }
 
-    /// Reads a state of a work with this fingerprint and so many sides and units; what the header says must agree with that.
+    /// Reads a state of a work with this fingerprint and so many sides and units into `store`; what the header says must agree with that.
     pub fn read(
         source: &mut impl Read,
+        store: &Store,
         fingerprint: u64,
         sides: u32,
         units_of: impl Fn(u32) -> u32,
@@ -175,9 +203,12 @@ impl State {
         if !sane {
             return Err(StateError::OtherWork);
         }
-        let direct = read_map(source, if header.has_direct { sides } else { 0 })?;
-        let previous = read_map(source, if header.has_previous { sides } else { 0 })?;
-        let direct_moments = read_map(source, header.moments[1])?;
+        let mut map = |has: bool, len: u32| read_map(source, store, if has { len } else { 0 });
+        let before = Before {
+            direct: map(header.has_direct, sides)?,
+            previous: map(header.has_previous, sides)?,
+            direct_moments: map(true, header.moments[1])?,
+        };
         let mut words = vec![0; 4 * header.units as usize];
         source.read_exact(&mut words)?;
         let done: Vec<u32> = words
@@ -190,13 +221,11 @@ impl State {
         let noise = crate::noise::Noise::read(source, sides)?;
         let [radiance, weight] = header.unit;
         let unit = Unit { radiance, weight };
-        let mut sums = Sums::new(sides, unit).with_moments(header.moments[0]);
+        let mut sums = Sums::new_in(store, sides, unit, header.moments[0])?;
         sums.read(source)?;
         Ok(Self {
             header,
-            direct,
-            previous,
-            direct_moments,
+            before,
             done,
             sums,
             noise,
@@ -207,16 +236,22 @@ impl State {
 /// Values that are encoded together.
 const CHUNK: usize = 1 << 14;
 
-fn read_map(source: &mut impl Read, len: u32) -> Result<Vec<Vec3>, StateError> {
-    let mut map = Vec::with_capacity(len as usize);
+fn read_map(source: &mut impl Read, store: &Store, len: u32) -> std::io::Result<Buffer<Vec3>> {
+    let mut map: Buffer<Vec3> = store.zeroed(len as usize)?;
     let mut bytes = vec![0; CHUNK * 12];
-    while map.len() < len as usize {
-        let count = CHUNK.min(len as usize - map.len());
+    let mut first = 0;
+    while first < map.len() {
+        map.release();
+        let count = CHUNK.min(map.len() - first);
         source.read_exact(&mut bytes[..count * 12])?;
-        map.extend(bytes[..count * 12].chunks_exact(12).map(|b| {
+        let values = bytes[..count * 12].chunks_exact(12).map(|b| {
             let channel = |i: usize| f32::from_le_bytes([b[i], b[i + 1], b[i + 2], b[i + 3]]);
             Vec3::new(channel(0), channel(4), channel(8))
-        }));
+        });
+        for (to, value) in map[first..].iter_mut().zip(values) {
+            *to = value;
+        }
+        first += count;
     }
     Ok(map)
 }

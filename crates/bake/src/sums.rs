@@ -8,6 +8,7 @@
 //! Whoever adds locks a run of neighbouring sides and adds many terms at once: bundles collect terms by run first, which costs a
 //! few nanoseconds a term; locked additions to single words would cost four times as much.
 
+use crate::store::{Spill, Store};
 use glam::Vec3;
 use occlude_bvh::Buffer;
 use std::io::{Read, Write};
@@ -50,6 +51,8 @@ pub struct Sums {
     unit: Unit,
     /// Of the first so many sides, first moments in the place of colours.
     moments: Option<Box<Self>>,
+    /// Of sums on disk: terms of bundles on their way to them.
+    spill: Option<Spill>,
 }
 
 /// Why sums cannot be read or merged.
@@ -111,22 +114,63 @@ impl Sums {
 
     /// Sums without terms.
     pub fn new(sides: u32, unit: Unit) -> Self {
-        let shift = (sides.div_ceil(RUNS).max(64)).next_power_of_two().ilog2();
-        let count = sides.div_ceil(1 << shift);
-        Self {
-            locks: (0..count).map(|_| Mutex::new(())).collect(),
-            sums: Buffer::zeroed(sides as usize),
-            shift,
-            len: sides,
-            unit,
-            moments: None,
-        }
+        Self::over(Buffer::zeroed(sides as usize), unit)
     }
 
     /// The same with sums of first moments (luminance times direction) over the first so many sides; 0: without.
     pub fn with_moments(mut self, sides: u32) -> Self {
         self.moments = (sides > 0).then(|| Box::new(Self::new(sides, self.unit)));
         self
+    }
+
+    /// Sums without terms, and of first moments over the first `moments` sides, that live in `store`.
+    ///
+    /// # Errors
+    /// There is no room.
+    pub fn new_in(store: &Store, sides: u32, unit: Unit, moments: u32) -> std::io::Result<Self> {
+        let mut sums = Self::over(store.zeroed(sides as usize)?, unit);
+        sums.spill = store.spill(sums.runs())?;
+        if moments > 0 {
+            sums.moments = Some(Box::new(Self::new_in(store, moments, unit, 0)?));
+        }
+        Ok(sums)
+    }
+
+    fn over(sums: Buffer<Sum>, unit: Unit) -> Self {
+        let len = sums.len() as u32;
+        let shift = (len.div_ceil(RUNS).max(64)).next_power_of_two().ilog2();
+        let count = len.div_ceil(1 << shift);
+        Self {
+            locks: (0..count).map(|_| Mutex::new(())).collect(),
+            sums,
+            shift,
+            len,
+            unit,
+            moments: None,
+            spill: None,
+        }
+    }
+
+    /// Lets sums on disk leave memory until they are touched again.
+    pub fn release(&self) {
+        self.sums.release();
+        if let Some(moments) = &self.moments {
+            moments.release();
+        }
+    }
+
+    /// Where terms of bundles wait, if sums are on disk.
+    pub(crate) fn spill(&self) -> Option<&Spill> {
+        self.spill.as_ref()
+    }
+
+    /// Whether all terms have come: terms for sums on disk wait in a file of their own.
+    ///
+    /// # Errors
+    /// That file could not be written or read; the sums are then worth nothing.
+    pub fn check(&self) -> std::io::Result<()> {
+        self.spill.as_ref().map_or(Ok(()), Spill::check)?;
+        self.moments.as_ref().map_or(Ok(()), |sums| sums.check())
     }
 
     /// Sums of first moments.
@@ -203,6 +247,9 @@ impl Sums {
                     *sum = sum.wrapping_add(*term);
                 }
             }
+            drop(theirs);
+            self.release();
+            other.release();
         }
         Ok(())
     }
@@ -247,6 +294,8 @@ impl Sums {
             let mut run = self.lock(run);
             bytes.extend(run.sums().iter().flatten().flat_map(|n| n.to_le_bytes()));
             out.write_all(&bytes)?;
+            drop(run);
+            self.sums.release();
         }
         if let Some(moments) = &self.moments {
             moments.write(out)?;
@@ -266,7 +315,10 @@ impl Sums {
         if len != self.len || (Unit { radiance, weight }) != self.unit {
             return Err(SumsError::Other);
         }
-        for run in self.sums.chunks_mut(1 << self.shift) {
+        for first in (0..self.len as usize).step_by(1 << self.shift) {
+            self.sums.release();
+            let end = self.sums.len().min(first + (1 << self.shift));
+            let run = &mut self.sums[first..end];
             let mut bytes = vec![0; size_of_val(run)];
             source.read_exact(&mut bytes)?;
             for (sum, bytes) in run.iter_mut().flatten().zip(bytes.chunks_exact(8)) {

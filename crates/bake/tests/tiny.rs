@@ -4,6 +4,8 @@ use occlude_bake::atlas::{AtlasSettings, build, density};
 use occlude_bake::bundle::{self, Triangles};
 use occlude_bake::gather::Part;
 use occlude_bake::rounds::{Bake, GatherKind, Report, Settings, Stop, Subject};
+use occlude_bake::state::Before;
+use occlude_bake::store::Store;
 use occlude_bake::texel::Texels;
 use occlude_bvh::BuildOptions;
 use occlude_render::geometry::Geometry;
@@ -72,9 +74,9 @@ fn rays_bring_tiny_texels_what_lines_would() {
                 ..bundle::Settings::default()
             },
         };
-        let bake = Bake::new(subject, settings, 0, String::new());
+        let bake = Bake::new(subject, settings, Store::memory(), 0, String::new()).unwrap();
         let mut report = Report::default();
-        let mut state = bake.begin(0, (0, 1), Vec::new(), Vec::new(), Vec::new());
+        let mut state = bake.begin(0, (0, 1), Before::default()).unwrap();
         loop {
             bake.run_round(
                 &mut state,
@@ -82,11 +84,12 @@ fn rays_bring_tiny_texels_what_lines_would() {
                 &Job::new(),
                 &mut report,
                 &mut |_| (),
-            );
+            )
+            .unwrap();
             if bake.is_last(&state) {
                 break;
             }
-            state = bake.next_round(state, (0, 1));
+            state = bake.next_round(state, (0, 1)).unwrap();
         }
         let light: Vec<f32> = (areas.iter())
             .map(|&(texel, _)| bake.irradiance(&state, texel).map_or(0.0, |e| e.y))

@@ -30,7 +30,7 @@ mod traverse;
 mod validate;
 
 pub use accel::{Accel, Blocker, Stats};
-pub use buffer::Buffer;
+pub use buffer::{Buffer, nameless_file};
 pub use filter::{HitFilter, NoFilter};
 pub use input::{BuildError, BuildOptions, Flatten, InstanceInput, MeshInput, RefitError};
 pub use traverse::Simd;

@@ -317,6 +317,61 @@ fn plan_says_what_bake_does() {
     );
 }
 
+#[cfg(unix)]
+#[test]
+fn light_maps_on_disk_have_the_same_bytes_in_less_memory() {
+    let dir = Dir::new();
+    dir.must("scene conference -o c.glb");
+    std::fs::create_dir(dir.path("scratch")).unwrap();
+    let base =
+        "bake c.glb --directions 4 --bounces 2 --texels-per-metre 4 --pages-max 128 --seed 5";
+    for gather in ["path", "bundles"] {
+        let base = format!("{base} --gather {gather} --directional sh1");
+        dir.must(&format!("{base} -o memory"));
+        dir.must(&format!("{base} -o disk --scratch scratch"));
+        assert_eq!(maps(&dir, "memory"), maps(&dir, "disk"), "{gather}");
+        // Parts, of which some are on disk.
+        let mut after = String::new();
+        loop {
+            dir.must(&format!("{base} -o part0 --shard 0/2{after}"));
+            dir.must(&format!(
+                "{base} -o part1 --shard 1/2{after} --scratch scratch"
+            ));
+            let told = dir.must("merge part1 part0 -o merged").stdout;
+            if told.contains("\"finished\":true") {
+                break;
+            }
+            std::fs::rename(dir.path("merged"), dir.path("before")).unwrap();
+            after = " --after before".to_owned();
+        }
+        assert_eq!(
+            maps(&dir, "memory"),
+            maps(&dir, "merged"),
+            "{gather}: parts"
+        );
+        for folder in ["memory", "disk", "merged"] {
+            std::fs::remove_dir_all(dir.path(folder)).unwrap();
+        }
+    }
+    // Many more texels: what fits on disk does not fit in memory.
+    let many =
+        "c.glb --gather path --light direct --directions 1 --texels-per-metre 48 --pages-max 512";
+    let floor = |options: &str| {
+        let plan = dir.must(&format!("plan {many} --json{options}")).stdout;
+        let plan: serde_json::Value = serde_json::from_str(&plan).unwrap();
+        plan["floor_bytes"].as_u64().unwrap()
+    };
+    let (in_memory, on_disk) = (floor(""), floor(" --scratch scratch"));
+    assert!(on_disk < in_memory, "{on_disk} {in_memory}");
+    let limit = on_disk + (in_memory - on_disk) / 8;
+    let bake = format!("bake {many} -o out --memory {limit}");
+    dir.refuses(&bake, &["--memory", "--scratch"]);
+    let run = dir.must(&format!("{bake} --scratch scratch"));
+    assert!(run.peak_bytes <= limit, "{} > {limit}", run.peak_bytes);
+    dir.refuses(&format!("{bake} --scratch nowhere"), &["nowhere"]);
+    assert_eq!(std::fs::read_dir(dir.path("scratch")).unwrap().count(), 0);
+}
+
 #[test]
 fn what_cannot_be_baked_is_said_before_any_work() {
     let dir = Dir::new();

@@ -257,7 +257,7 @@ pub fn unit(brightest: f32, directions: u32) -> Unit {
 /// the sums have some.
 ///
 /// The sky arrives at the open ends of lines. The job's progress advances by one a direction; when it is cancelled, the direction at hand
-/// is finished first: the number of directions that are in the sums is in the statistics.
+/// is finished first: the number of directions that are in the sums is in the statistics. Of sums on disk see [`Sums::check`] afterwards.
 ///
 /// # Panics
 /// If `radiance` or `sums` are of another number of sides.
@@ -294,7 +294,11 @@ pub fn gather(
         };
         let exchange = || Exchange::new(triangles.sides(), radiance, sky, along, sums);
         stats += bundle.run(&setting, &exchange);
+        if transport::wants_to_settle(sums) {
+            transport::settle(sums);
+        }
         job.advance(1, 0);
     }
+    transport::settle(sums);
     stats
 }

@@ -8,6 +8,7 @@
 use glam::Vec3;
 use occlude_bvh::Buffer;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Mantissas of 9 bits.
 pub(super) const MANTISSA_BITS: u32 = 9;
@@ -86,14 +87,30 @@ impl Radiance {
     /// Packs what `radiance` says of each side, W/(m² sr). Values above `brightest` are cut off; negative ones and such that
     /// are no number count as 0.
     pub fn new(sides: u32, brightest: f32, radiance: impl Fn(u32) -> Vec3 + Sync) -> Self {
-        let scale = Scale::new(brightest);
-        let mut packed = Buffer::zeroed(sides as usize);
-        packed
+        let mut map = Self::black(sides, brightest);
+        map.fill(0..sides, radiance);
+        map
+    }
+
+    /// A map of nothing, with room for values up to `brightest`.
+    pub fn black(sides: u32, brightest: f32) -> Self {
+        Self {
+            packed: Buffer::zeroed(sides as usize),
+            scale: Scale::new(brightest),
+        }
+    }
+
+    /// Packs what `radiance` says of some sides, as [`Radiance::new`] does.
+    ///
+    /// # Panics
+    /// If there are no such sides.
+    pub fn fill(&mut self, sides: Range<u32>, radiance: impl Fn(u32) -> Vec3 + Sync) {
+        let scale = self.scale;
+        self.packed[sides.start as usize..sides.end as usize]
             .par_iter_mut()
             .with_min_len(4096)
-            .zip(0..sides)
+            .zip(sides)
             .for_each(|(packed, side)| *packed = scale.pack(radiance(side), hash(side)));
-        Self { packed, scale }
     }
 
     /// The radiance of a side, as rounded.

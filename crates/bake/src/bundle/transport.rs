@@ -5,6 +5,7 @@ use super::radiance::{MANTISSA_BITS, Radiance, unpack};
 use super::raster::{Isa, multiversion};
 use super::triangles::{BACK_RUN, NO_SIDE, Sides};
 use crate::gather::luminance;
+use crate::store::Tag;
 use crate::sums::{Run, Sum, Sums, Unit};
 use glam::Vec3;
 
@@ -83,30 +84,70 @@ impl<'a> Terms<'a> {
         *count += 1;
         // Room for a change of weight and a term.
         if *count as usize > WAITING - 2 {
-            let terms = &terms[..*count as usize];
-            let mut locked = self.sums.lock(run);
-            match self.along {
-                None => enter(self.isa, terms, &mut locked, self.sums.unit(), self.least),
-                Some(along) => enter_moments(terms, &mut locked, along),
-            }
-            self.heads[run] = (0, 0.0);
+            let count = std::mem::replace(&mut self.heads[run], (0, 0.0)).0;
+            self.send(run, count);
         }
     }
 
-    /// Enters everything that waits.
+    /// Sends everything that waits.
     fn flush(&mut self) {
-        for (run, (count, weight)) in self.heads.iter_mut().enumerate() {
-            if *count > 0 {
-                let terms = &self.terms[run * WAITING..][..*count as usize];
-                let mut locked = self.sums.lock(run);
-                match self.along {
-                    None => enter(self.isa, terms, &mut locked, self.sums.unit(), self.least),
-                    Some(along) => enter_moments(terms, &mut locked, along),
-                }
-                (*count, *weight) = (0, 0.0);
+        for run in 0..self.heads.len() {
+            let count = std::mem::replace(&mut self.heads[run], (0, 0.0)).0;
+            if count > 0 {
+                self.send(run, count);
             }
         }
     }
+
+    /// Sends the first so many terms of a run to their sums, or to where they wait for those.
+    fn send(&self, run: usize, count: u32) {
+        let terms = &self.terms[run * WAITING..][..count as usize];
+        match (self.sums.spill(), self.along) {
+            (None, None) => enter(
+                self.isa,
+                terms,
+                &mut self.sums.lock(run),
+                self.sums.unit(),
+                self.least,
+            ),
+            (None, Some(along)) => enter_moments(terms, &mut self.sums.lock(run), along),
+            (Some(spill), along) => {
+                let along = along.unwrap_or_default();
+                spill.push(run, [self.least, along.x, along.y, along.z], terms);
+            }
+        }
+    }
+}
+
+/// Brings terms that wait to their sums; then all sums may leave memory.
+pub(super) fn settle(sums: &Sums) {
+    let isa = Isa::detect();
+    if let Some(spill) = sums.spill() {
+        let enter = |run: usize, tag: Tag, terms: &[Term]| {
+            enter(isa, terms, &mut sums.lock(run), sums.unit(), tag[0]);
+        };
+        spill.settle(&enter, &|| sums.release());
+    }
+    if let Some(sums) = sums.moments()
+        && let Some(spill) = sums.spill()
+    {
+        let enter = |run: usize, [_, x, y, z]: Tag, terms: &[Term]| {
+            enter_moments(terms, &mut sums.lock(run), Vec3::new(x, y, z));
+        };
+        spill.settle(&enter, &|| sums.release());
+    }
+}
+
+/// Whether so many terms wait that it is time to settle: moving all sums then takes a fraction of what their terms do.
+pub(super) fn wants_to_settle(sums: &Sums) -> bool {
+    const TERMS_TO_SUMS: u64 = 4;
+    [Some(sums), sums.moments()]
+        .into_iter()
+        .flatten()
+        .any(|sums| {
+            let most = TERMS_TO_SUMS * Sums::bytes(sums.len());
+            sums.spill().is_some_and(|spill| spill.bytes() > most)
+        })
 }
 
 #[inline(always)]

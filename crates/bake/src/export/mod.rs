@@ -109,6 +109,9 @@ pub trait Light: Sync {
         0.0
     }
 
+    /// A page has been read: what is on disk may leave memory until it is asked for again.
+    fn rest(&self) {}
+
     /// First moment of the light ([`Bake::moment`](crate::rounds::Bake::moment)); for [`ExportSettings::directional`].
     fn moment(&self, _texel: u32) -> [f32; 3] {
         [0.0; 3]
@@ -201,6 +204,7 @@ pub fn write(
                     canvas.validity[i] = 0.0;
                 }
             }
+            light.rest();
             let least = light.least_coverage();
             if least > 0.0 {
                 canvas.distrust_rims(texels, page, least);
@@ -219,6 +223,7 @@ pub fn write(
         }
         for (page, canvas) in canvases {
             entries.push(write_page(folder, texels, light, page, &canvas, settings)?);
+            light.rest();
             job.advance(1, 0);
         }
     }

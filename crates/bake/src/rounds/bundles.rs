@@ -3,14 +3,18 @@
 use super::{Bake, Ended, Light, Report, Round, RoundKind, Subject, Until};
 use crate::bundle::{self, Directions, Radiance, Sky};
 use crate::gather::Part;
-use crate::state::State;
+use crate::state::{Before, State};
+use crate::store::{STRETCH, Store};
 use crate::texel::Band;
 use glam::Vec3;
 use half::f16;
+use occlude_bvh::Buffer;
 use occlude_render::geometry::diffuse_albedo;
 use occlude_render::job::Job;
 use rayon::prelude::*;
 use std::f32::consts::FRAC_1_PI;
+use std::io;
+use std::ops::Range;
 
 /// Directions between two looks at the clock and the noise.
 const DIRECTIONS_TOGETHER: u32 = 16;
@@ -25,9 +29,9 @@ impl Bake<'_> {
         job: &Job,
         report: &mut Report,
         at_rest: &mut dyn FnMut(&State),
-    ) -> Ended {
+    ) -> io::Result<Ended> {
         let Some(triangles) = self.subject.triangles else {
-            return Ended::Samples;
+            return Ok(Ended::Samples);
         };
         let target = state.header.items.len() as u32;
         job.start_phase(round.name, u64::from(target));
@@ -70,33 +74,46 @@ impl Bake<'_> {
             let done = stats.directions as u32;
             let gathered = range.start..range.start + done;
             report.secondary += self.gather_tiny(&light, state.header.round, gathered, &state.sums);
+            state.sums.check()?;
             state.done[0] += done;
             report.bundles += stats;
             if job.is_cancelled() {
-                return Ended::Cancel;
+                return Ok(Ended::Cancel);
             }
             if let Some(ended) = until.end_batch(state, at_rest) {
-                return ended;
+                return Ok(ended);
             }
         }
-        Ended::Samples
+        Ok(Ended::Samples)
     }
 
     /// What every side sends out in a round of bundles.
     fn radiance(&self, round: Round, state: &State) -> Radiance {
-        let brightest = self.brightest(&state.direct, &state.previous);
-        Radiance::new(state.header.sides, brightest, |side| match round.kind {
-            RoundKind::Reflected => self.reflected(&state.direct, &state.previous, side),
-            _ => Vec3::ZERO,
-        })
+        let mut radiance = Radiance::black(state.header.sides, self.brightest(&state.before));
+        if round.kind == RoundKind::Reflected {
+            for range in self.stretches() {
+                radiance.fill(range, |side| self.reflected(&state.before, side));
+                state.before.release();
+                self.albedo.release();
+            }
+        }
+        radiance
+    }
+
+    /// All sides, part by part.
+    fn stretches(&self) -> impl Iterator<Item = Range<u32>> {
+        let sides = self.sides();
+        (0..sides)
+            .step_by(STRETCH as usize)
+            .map(move |first| first..sides.min(first.saturating_add(STRETCH)))
     }
 
     /// Radiance that a side reflects of what the rounds before have brought.
-    fn reflected(&self, direct: &[Vec3], previous: &[Vec3], side: u32) -> Vec3 {
-        let arrived = if previous.is_empty() {
-            direct
+    fn reflected(&self, before: &Before, side: u32) -> Vec3 {
+        let arrived = if before.previous.is_empty() {
+            &before.direct
         } else {
-            previous
+            &before.previous
         };
         let front = self
             .subject
@@ -108,24 +125,26 @@ impl Bake<'_> {
     }
 
     /// The brightest radiance that bundles meet.
-    pub(super) fn brightest(&self, direct: &[Vec3], previous: &[Vec3]) -> f32 {
-        let surfaces = if self.albedo.is_empty() {
-            0.0
-        } else {
-            (0..self.sides())
+    pub(super) fn brightest(&self, before: &Before) -> f32 {
+        let mut surfaces = 0.0_f32;
+        for range in self.stretches().take_while(|_| !self.albedo.is_empty()) {
+            let here = range
                 .into_par_iter()
-                .map(|side| self.reflected(direct, previous, side).max_element())
-                .reduce(|| 0.0, f32::max)
-        };
+                .map(|side| self.reflected(before, side).max_element())
+                .reduce(|| 0.0, f32::max);
+            surfaces = surfaces.max(here);
+            before.release();
+            self.albedo.release();
+        }
         let sky = self.subject.sky.map_or(0.0, |(_, brightest)| brightest);
         surfaces.max(sky).max(f32::MIN_POSITIVE * 1e20)
     }
 }
 
 /// Lambert albedo of every front.
-pub(super) fn albedo(subject: &Subject) -> Vec<[f16; 3]> {
+pub(super) fn albedo(subject: &Subject, store: &Store) -> io::Result<Buffer<[f16; 3]>> {
     let Some(sides) = subject.sides() else {
-        return Vec::new();
+        return Ok(Buffer::default());
     };
     let pack = |albedo: Vec3| {
         albedo
@@ -133,25 +152,26 @@ pub(super) fn albedo(subject: &Subject) -> Vec<[f16; 3]> {
             .to_array()
             .map(f16::from_f32)
     };
-    let mut fronts = vec![[f16::ZERO; 3]; sides.fronts_count() as usize];
-    let (texels, stand_ins) = fronts.split_at_mut(sides.texels() as usize);
-    let atlas = subject.texels.atlas;
-    let mut rest = texels;
-    for (page, size) in atlas.pages.iter().enumerate() {
-        let (here, after) = rest.split_at_mut(size.texels() as usize);
-        rest = after;
-        let rows = here.par_chunks_mut(size.width.max(1) as usize).enumerate();
-        rows.for_each(|(y, row)| {
-            let band: Band = subject.texels.band(page as u32, y as u32..y as u32 + 1);
-            let first = size.texel(0, y as u32);
-            for i in 0..band.len() {
-                let reflection = subject.texels.reflection(&band, i);
-                row[(band.texel(i) - first) as usize] = pack(reflection.albedo);
-            }
-        });
+    let mut fronts: Buffer<[f16; 3]> = store.zeroed(sides.fronts_count() as usize)?;
+    for (page, size) in subject.texels.atlas.pages.iter().enumerate() {
+        let width = size.width.max(1);
+        for top in (0..size.height).step_by((STRETCH / width).max(1) as usize) {
+            let bottom = size.height.min(top + (STRETCH / width).max(1));
+            let rows = size.texel(0, top) as usize..size.texel(0, bottom) as usize;
+            let rows = fronts[rows].par_chunks_mut(width as usize);
+            rows.zip(top..bottom).for_each(|(row, y)| {
+                let band: Band = subject.texels.band(page as u32, y..y + 1);
+                let first = size.texel(0, y);
+                for i in 0..band.len() {
+                    let reflection = subject.texels.reflection(&band, i);
+                    row[(band.texel(i) - first) as usize] = pack(reflection.albedo);
+                }
+            });
+            fronts.release();
+        }
     }
     let geometry = subject.world.geometry;
-    stand_ins
+    fronts[sides.texels() as usize..]
         .par_iter_mut()
         .zip(sides.stand_ins())
         .for_each(|(value, &[instance, primitive])| {
@@ -166,5 +186,6 @@ pub(super) fn albedo(subject: &Subject) -> Vec<[f16; 3]> {
                 third,
             ));
         });
-    fronts
+    fronts.release();
+    Ok(fronts)
 }

@@ -135,6 +135,7 @@ impl Bake<'_> {
                     break;
                 }
                 slice_start = slice_end;
+                state.sums.release();
                 // The pass's last rest comes after its noise is known.
                 if slice_start < todo.len() {
                     at_rest(state);

@@ -108,6 +108,7 @@ impl Bake<'_> {
                     self.trace(light, &mut rays, sums);
                 }
             }
+            sums.release();
             rays.count
         };
         self.tiny.bands.par_iter().map(rays).sum()

@@ -6,6 +6,7 @@ use crate::output;
 use crate::sky::SkyArgs;
 use crate::values::{self, Shard};
 use clap::{Args, ValueEnum};
+use occlude_bake::store::Store;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -105,6 +106,11 @@ pub struct WorkArgs {
     /// Stop after this time of gathering, such as 30s or 2m (whole passes: it may take a little longer)
     #[arg(long, value_name = "TIME", value_parser = values::duration, help_heading = "Work")]
     pub time_limit: Option<Duration>,
+
+    /// Keep what is gathered in files in this folder instead of memory, for light maps that are larger than that; the result is the same.
+    /// Some 60 bytes a texel, and by bundles up to 130 more
+    #[arg(long, value_name = "DIR", help_heading = "Work")]
+    pub scratch: Option<PathBuf>,
 }
 
 /// Options of `occlude bake`.
@@ -237,7 +243,32 @@ impl WorkArgs {
                     Ok(())
                 }
             })
-            .map_err(|error| CliError::read(&self.scene, &error))
+            .map_err(|error| CliError::read(&self.scene, &error))?;
+        if let Some(folder) = self.scratch.as_deref().filter(|folder| !folder.is_dir()) {
+            return Err(CliError::input(
+                "no such folder",
+                folder.display(),
+                "make it, or name another with --scratch",
+            ));
+        }
+        Ok(())
+    }
+
+    /// Where what is gathered is kept meanwhile.
+    pub fn store(&self) -> Store {
+        self.scratch
+            .clone()
+            .map_or_else(Store::memory, Store::folder)
+    }
+
+    /// What to say when that fails.
+    pub fn scratch_failed(&self, error: &std::io::Error) -> CliError {
+        let folder = self.scratch.as_deref().unwrap_or(Path::new("--scratch"));
+        CliError::failed(
+            format_args!("cannot keep what is gathered: {error}"),
+            folder.display(),
+            "make room, or name another folder with --scratch",
+        )
     }
 
     /// Directions of the whole work.

@@ -1,11 +1,11 @@
 //! Unfinished work: saved now and then, and gone on with.
 
-use super::BakeArgs;
+use super::args::{BakeArgs, WorkArgs};
 use crate::context::Context;
 use crate::error::CliError;
 use crate::output;
 use occlude_bake::rounds::Bake;
-use occlude_bake::state::{State, StateError};
+use occlude_bake::state::{Before, State, StateError};
 use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
@@ -30,7 +30,7 @@ pub fn start(
     let share = args.share();
     let checkpoint = args.checkpoint_path();
     if args.resume && checkpoint.exists() {
-        let state = read(bake, &checkpoint, fingerprint)?;
+        let state = read(&args.work, bake, &checkpoint, fingerprint)?;
         let items = occlude_render::work::shard_samples(state.header.total, share.0, share.1);
         if state.header.items != items {
             return Err(CliError::input(
@@ -48,7 +48,7 @@ pub fn start(
         return Ok(state);
     }
     if let Some(after) = &args.after {
-        let state = read(bake, after, fingerprint)?;
+        let state = read(&args.work, bake, after, fingerprint)?;
         if state.done.iter().any(|&done| done > 0) {
             return Err(CliError::input(
                 "this is a part of a round, not what was made of all its parts",
@@ -56,25 +56,30 @@ pub fn start(
                 "give what occlude merge wrote",
             ));
         }
-        let State {
-            header,
-            direct,
-            previous,
-            direct_moments,
-            ..
-        } = state;
-        return Ok(bake.begin(header.round, share, direct, previous, direct_moments));
+        let State { header, before, .. } = state;
+        let begun = bake.begin(header.round, share, before);
+        return begun.map_err(|error| args.work.scratch_failed(&error));
     }
-    Ok(bake.begin(0, share, Vec::new(), Vec::new(), Vec::new()))
+    let begun = bake.begin(0, share, Before::default());
+    begun.map_err(|error| args.work.scratch_failed(&error))
 }
 
 /// Reads a state that must belong to this work.
-pub fn read(bake: &Bake, path: &Path, fingerprint: u64) -> Result<State, CliError> {
+pub fn read(
+    work: &WorkArgs,
+    bake: &Bake,
+    path: &Path,
+    fingerprint: u64,
+) -> Result<State, CliError> {
     let unreadable = |error: std::io::Error| CliError::read(path, &error);
     let mut file = BufReader::new(File::open(path).map_err(unreadable)?);
-    State::read(&mut file, fingerprint, bake.sides(), |round| {
-        bake.units_of(round)
-    })
+    State::read(
+        &mut file,
+        &work.store(),
+        fingerprint,
+        bake.sides(),
+        |round| bake.units_of(round),
+    )
     .map_err(|error| {
         let cure = match error {
             StateError::OtherWork => "repeat its command line, or start anew",

@@ -42,6 +42,10 @@ impl Light for Gathered<'_> {
         self.bake.moment(self.state, texel).to_array()
     }
 
+    fn rest(&self) {
+        self.state.release();
+    }
+
     fn is_known(&self, texel: u32) -> bool {
         self.bake.irradiance(self.state, texel).is_some()
     }

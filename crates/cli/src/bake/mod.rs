@@ -72,7 +72,7 @@ fn gather(
     let state = if parts.is_empty() {
         start(args, bake, setup.fingerprint, context)?
     } else {
-        parts::merge(bake, parts, setup.fingerprint)?
+        parts::merge(&args.work, bake, parts, setup.fingerprint)?
     };
     let mut report = Report::default();
     let mut saver = Saver::new(&checkpoint, &state);
@@ -88,7 +88,7 @@ fn gather(
             &mut report,
             &mut saver,
         )
-    });
+    })?;
     context.progress.finish();
     let atlas = &setup.built.atlas;
     context.stats.bake = Some(stats::Bake::new(atlas, &report, &state, ended.name()));
@@ -150,27 +150,30 @@ fn rounds(
     context: &Context,
     report: &mut Report,
     saver: &mut Saver,
-) -> (State, Ended) {
+) -> Result<(State, Ended), CliError> {
+    let failed = |error: std::io::Error| args.work.scratch_failed(&error);
     let share = args.share();
     if merged {
         if !bake.is_last(&state) {
-            state = bake.next_round(state, share);
+            state = bake.next_round(state, share).map_err(failed)?;
         }
-        return (state, Ended::Samples);
+        return Ok((state, Ended::Samples));
     }
     let began = Instant::now();
     let mut stopped = Ended::Samples;
     loop {
         let stop = stop(&args.work, bake, &state, began);
         let mut at_rest = |state: &State| saver.rest(state);
-        let ended = bake.run_round(&mut state, stop, &context.job, report, &mut at_rest);
+        let ended = bake
+            .run_round(&mut state, stop, &context.job, report, &mut at_rest)
+            .map_err(failed)?;
         if ended != Ended::Samples {
             stopped = ended;
         }
         if ended == Ended::Cancel || args.shard.is_some() || bake.is_last(&state) {
-            return (state, stopped);
+            return Ok((state, stopped));
         }
-        state = bake.next_round(state, share);
+        state = bake.next_round(state, share).map_err(failed)?;
         saver.rest(&state);
     }
 }

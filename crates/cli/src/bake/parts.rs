@@ -1,5 +1,6 @@
 //! Parts of a round from many machines: the command line that they remember, and what they add up to.
 
+use super::args::WorkArgs;
 use super::bake;
 use super::checkpoint::read;
 use crate::context::Context;
@@ -11,10 +12,15 @@ use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 /// All parts of a round together.
-pub fn merge(bake: &Bake, parts: &[PathBuf], fingerprint: u64) -> Result<State, CliError> {
+pub fn merge(
+    work: &WorkArgs,
+    bake: &Bake,
+    parts: &[PathBuf],
+    fingerprint: u64,
+) -> Result<State, CliError> {
     let mut states = Vec::new();
     for path in parts {
-        let state = read(bake, path, fingerprint)?;
+        let state = read(work, bake, path, fingerprint)?;
         states.push((path, state));
     }
     let first = states.first().map(|(_, state)| state.header.clone());

@@ -68,7 +68,7 @@ pub fn prepared<T>(
         };
         let least = stats::resident_memory()
             + triangles * LEAST_BYTES_PER_TRIANGLE
-            + u64::from(built.atlas.texels()) * Bake::least_bytes_per_texel(kind);
+            + u64::from(built.atlas.texels()) * Bake::least_bytes_per_texel(kind, &work.store());
         if least.max(stats::peak_memory()) > limit {
             return Err(too_little_memory(
                 least.max(stats::peak_memory()),
@@ -131,9 +131,12 @@ pub fn prepared<T>(
         };
         let mut settings = settings(work, &built.atlas, gather, seed, limit);
         settings.bundles.entries = entries(&settings.bundles);
-        let tried = Bake::new(subject, settings, 0, String::new());
+        let failed = |error: std::io::Error| work.scratch_failed(&error);
+        let tried = Bake::new(subject, settings, work.store(), 0, String::new()).map_err(failed)?;
         let job = context.job.clone();
-        let estimate = context.phase("plan", |_| tried.estimate(&job));
+        let estimate = context
+            .phase("plan", |_| tried.estimate(&job))
+            .map_err(failed)?;
         let better = best.as_ref().is_none_or(|(_, best)| {
             best.as_ref()
                 .is_none_or(|best| estimate.priced < best.priced)
@@ -173,9 +176,11 @@ pub fn prepared<T>(
             luminous: sky.luminous,
         },
         settings(work, &built.atlas, gather, seed, limit),
+        work.store(),
         fingerprint,
         notes()?,
-    );
+    )
+    .map_err(|error| work.scratch_failed(&error))?;
     let (now, so_far) = (stats::resident_memory(), stats::peak_memory());
     let memory = bake.memory(std::fs::metadata(&work.scene).map_or(0, |data| data.len()));
     let with = |more: u64| so_far.max(now + more + more / 16 + SLACK_BYTES);
@@ -249,7 +254,8 @@ pub fn too_little_memory(
     atlas: &Atlas,
 ) -> CliError {
     // Texels go with the square of the density; the rest stays. Some more than what is missing: small charts do not shrink.
-    let of_texels = u64::from(atlas.texels()) * Bake::least_bytes_per_texel(GatherKind::Bundles);
+    let of_texels =
+        u64::from(atlas.texels()) * Bake::least_bytes_per_texel(GatherKind::Bundles, &work.store());
     let left = of_texels.saturating_sub(needed.saturating_sub(limit) * 5 / 4);
     let fits = work.texels_per_metre * (left as f32 / of_texels.max(1) as f32).sqrt();
     let largest = subject::objects(loaded, atlas).into_iter().next();
@@ -261,6 +267,10 @@ pub fn too_little_memory(
         format!("raise it, or lower --texels-per-metre to {fits:.2}{largest}")
     } else {
         format!("raise it: the scene itself takes most of that{largest}")
+    };
+    let cure = match work.scratch {
+        None => format!("{cure}; or keep light maps on disk with --scratch DIR"),
+        Some(_) => cure,
     };
     let needed = needed.div_ceil(1 << 20);
     CliError::input(
