@@ -323,8 +323,7 @@ fn light_maps_on_disk_have_the_same_bytes_in_less_memory() {
     let dir = Dir::new();
     dir.must("scene conference -o c.glb");
     std::fs::create_dir(dir.path("scratch")).unwrap();
-    let base =
-        "bake c.glb --directions 4 --bounces 2 --texels-per-metre 4 --pages-max 128 --seed 5";
+    let base = "bake c.glb --directions 4 --bounces 2 --texels-per-metre 2 --pages-max 64 --seed 5";
     for gather in ["path", "bundles"] {
         let base = format!("{base} --gather {gather} --directional sh1");
         dir.must(&format!("{base} -o memory"));
@@ -355,7 +354,7 @@ fn light_maps_on_disk_have_the_same_bytes_in_less_memory() {
     }
     // Many more texels: what fits on disk does not fit in memory.
     let many =
-        "c.glb --gather path --light direct --directions 1 --texels-per-metre 48 --pages-max 512";
+        "c.glb --gather path --light direct --directions 1 --texels-per-metre 28 --pages-max 400";
     let floor = |options: &str| {
         let plan = dir.must(&format!("plan {many} --json{options}")).stdout;
         let plan: serde_json::Value = serde_json::from_str(&plan).unwrap();

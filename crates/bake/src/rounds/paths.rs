@@ -3,6 +3,7 @@
 use super::{Bake, Ended, MOST_COUNTED, Patch, Report, Round, RoundKind, Until};
 use crate::gather::{Gatherer, Part, PathSettings, SurfaceSample, placement};
 use crate::state::State;
+use crate::store::STRETCH;
 use crate::sums::{Sums, Unit};
 use glam::{Vec2, Vec3};
 use occlude_render::job::Job;
@@ -79,6 +80,12 @@ impl Bake<'_> {
         let gatherers: Mutex<Vec<Gatherer>> = Mutex::default();
         let brightest = brightest_counted(state.sums.unit(), round.total);
 
+        // Sums on disk come to memory as they are touched.
+        let most = if self.store.is_on_disk() {
+            u64::from(STRETCH)
+        } else {
+            u64::MAX
+        };
         let mut ended = Ended::Samples;
         while state.min_done() < target {
             let end = (state.min_done() / SAMPLES_TOGETHER + 1) * SAMPLES_TOGETHER;
@@ -88,11 +95,12 @@ impl Bake<'_> {
                 .collect();
             let mut slice_start = 0;
             while slice_start < todo.len() {
-                let (mut slice_end, mut samples) = (slice_start, 0);
-                while slice_end < todo.len() && samples < SAMPLES_BETWEEN_RESTS {
+                let (mut slice_end, mut samples, mut texels) = (slice_start, 0, 0);
+                while slice_end < todo.len() && samples < SAMPLES_BETWEEN_RESTS && texels < most {
                     let unit = todo[slice_end];
-                    samples +=
-                        self.texels_of(&self.patches[unit]) * u64::from(end - state.done[unit]);
+                    let count = self.texels_of(&self.patches[unit]);
+                    samples += count * u64::from(end - state.done[unit]);
+                    texels += count;
                     slice_end += 1;
                 }
                 let done = &state.done;
