@@ -110,6 +110,19 @@ fn fan(origin: Vec3, size: usize) -> Vec<Ray> {
     rays
 }
 
+/// Batches answer as single rays do.
+fn together_as_alone(accel: &Accel, rays: &[Ray]) {
+    let mut together = vec![None; rays.len()];
+    accel.closest_coherent(rays, &mut together, &NoFilter);
+    let mut occluded = vec![false; rays.len()];
+    accel.occluded_batch(rays, &mut occluded, &NoFilter);
+    for ((ray, hit), occluded) in rays.iter().zip(&together).zip(occluded) {
+        let alone = accel.closest(ray, &NoFilter);
+        assert_eq!(hit.map(|hit| hit.t), alone.map(|hit| hit.t), "{ray:?}");
+        assert_eq!(occluded, alone.is_some(), "{ray:?}");
+    }
+}
+
 #[test]
 fn coherent_batches_find_the_same_distances_as_single_rays() {
     let mut random = Random(17);
@@ -122,12 +135,7 @@ fn coherent_batches_find_the_same_distances_as_single_rays() {
         for options in [BuildOptions::default(), watertight()] {
             let accel = soup.accel(&options);
             for accel in each_simd(&accel) {
-                let mut together = vec![None; rays.len()];
-                accel.closest_coherent(&rays, &mut together, &NoFilter);
-                for (ray, hit) in rays.iter().zip(&together) {
-                    let alone = accel.closest(ray, &NoFilter);
-                    assert_eq!(hit.map(|hit| hit.t), alone.map(|hit| hit.t), "{ray:?}");
-                }
+                together_as_alone(&accel, &rays);
             }
         }
     }
@@ -150,12 +158,7 @@ fn coherent_batches_enter_instances() {
     let accel = Accel::build(&[mesh.input()], &instances, &options).unwrap();
     for accel in each_simd(&accel) {
         let rays = fan(Vec3::splat(0.3), 64);
-        let mut together = vec![None; rays.len()];
-        accel.closest_coherent(&rays, &mut together, &NoFilter);
-        for (ray, hit) in rays.iter().zip(&together) {
-            let alone = accel.closest(ray, &NoFilter);
-            assert_eq!(hit.map(|hit| hit.t), alone.map(|hit| hit.t), "{ray:?}");
-        }
+        together_as_alone(&accel, &rays);
     }
 }
 

@@ -146,7 +146,8 @@ pub struct RenderArgs {
     /// quantized[:NAME=VALUE,...]: one ray for each pair of patches. Its options: error (reach of errors in samples across;
     /// error-point, error-direction, error-area, error-sky by kind of light), refine=auto|off|LEVELS, share=tile|thread|all|frames
     /// (tile: the same bytes at any number of threads; frames: those, too, and frames know what earlier ones have learnt), table=SIZE, normals, slab, resolution-step,
-    /// digest=separable|lcg|lcg-xorshift. Saves time where all pixels ask about the same lights (instant-radiosity); with other integrators
+    /// digest=separable|lcg|lcg-xorshift. Suns and lamps without extent are traced exactly where there are 256 virtual lights or more for each of them,
+    /// unless error-point, error-direction or error say otherwise. Saves time where all pixels ask about the same lights (instant-radiosity); with other integrators
     /// it saves rays, and seldom time.
     /// records[:NAME=VALUE,...] (with --integrator instant-radiosity): distance maps near the virtual lights answer. Their options: count=4000 (at most; of these, as
     /// many are placed at first as the work is worth, or initial=N, or all of a count that is given), resolution=128, alpha=0.6 (0: records go where visibility changes, 1: where they are used), steps=auto|N (of refinement before the first

@@ -57,10 +57,10 @@ impl Hemisphere {
     }
 }
 
-/// The arc cosine of a number in `[-1, 1]`, wrong by less than 1e-6: a polynomial (Abramowitz & Stegun 1964, 4.4.46) that vector units
+/// The arc cosine of a number that is clamped to `[-1, 1]`, wrong by less than 1e-6: a polynomial (Abramowitz & Stegun 1964, 4.4.46) that vector units
 /// evaluate as they stand.
 #[inline(always)]
-pub(super) fn acos(x: f32) -> f32 {
+pub fn acos(x: f32) -> f32 {
     const C: [f32; 8] = [
         FRAC_PI_2,
         -0.214_598_8,
@@ -71,7 +71,8 @@ pub(super) fn acos(x: f32) -> f32 {
         0.006_670_09,
         -0.001_262_491_1,
     ];
-    let a = x.abs().min(1.0);
+    let a = x.abs();
+    let a = if a < 1.0 { a } else { 1.0 };
     let mut p = C[7];
     for c in C[..7].iter().rev() {
         p = p * a + c;

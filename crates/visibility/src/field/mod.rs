@@ -33,7 +33,7 @@ pub use cells::{Distances, Weight, visible_integral};
 pub use distance::DistanceField;
 pub use gaussian::{SphericalGaussian, VisibleShare};
 pub use harmonics::{Harmonics, harmonics, visibility_error};
-pub use hemisphere::Hemisphere;
+pub use hemisphere::{Hemisphere, acos};
 pub use interpolate::{Metric, Sites, weight};
 pub use map::{MapBlock, VisibilityMap};
 pub use sample::{Hint, MapSampler, MapSampling};

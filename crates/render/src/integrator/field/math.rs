@@ -1,11 +1,12 @@
 //! Loops over lobes, eight at a time, compiled for the widest vectors of the machine.
 //!
-//! Elementary functions as polynomials (`exp` by range reduction to a power of two, the arc sine by Abramowitz & Stegun 1964, 4.4.46), which compilers turn into
+//! Elementary functions as polynomials (`exp` by range reduction to a power of two, the arc sine by way of the arc cosine that fields use), which compilers turn into
 //! vectors where calls into a maths library stay one by one.
 //!
 //! No fused operations and no sums in another order: every machine computes the same bytes. Wrong tool where more than six digits are wanted, and where a vector has other
 //! than floats in it: [`wide`] only compiles a body twice, what does not vectorize stays as slow as it is.
 
+use occlude_visibility::field::acos;
 use std::f32::consts::LOG2_E;
 
 /// Defines a function whose body is compiled twice, and picks at run time.
@@ -58,26 +59,10 @@ pub(super) fn exp(x: f32) -> f32 {
     if x > -86.0 { power } else { 0.0 }
 }
 
-/// The arc sine of a number that is clamped to `[-1, 1]`, wrong by less than 1e-6 (Abramowitz & Stegun 1964, 4.4.46).
+/// The arc sine of a number that is clamped to `[-1, 1]`, wrong by less than 1e-6.
 #[inline(always)]
 pub(super) fn asin(x: f32) -> f32 {
-    const C: [f32; 8] = [
-        std::f32::consts::FRAC_PI_2,
-        -0.214_598_8,
-        0.088_978_99,
-        -0.050_174_305,
-        0.030_891_88,
-        -0.017_088_126,
-        0.006_670_09,
-        -0.001_262_491_1,
-    ];
-    let a = x.abs();
-    let a = if a < 1.0 { a } else { 1.0 };
-    let mut p = C[7];
-    for c in C[..7].iter().rev() {
-        p = p * a + c;
-    }
-    (std::f32::consts::FRAC_PI_2 - (1.0 - a).sqrt() * p).copysign(x)
+    std::f32::consts::FRAC_PI_2 - acos(x)
 }
 
 #[cfg(test)]

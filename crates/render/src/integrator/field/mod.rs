@@ -20,6 +20,7 @@ mod cells;
 mod eyes;
 mod gloss;
 mod lamps;
+mod lobe;
 mod math;
 mod octahedron;
 mod points;

@@ -1,4 +1,6 @@
 //! Pictures for who wonders: where sample points are and how well their neighbours make up for them, what one of them sees, and the sky as lobes.
+//!
+//! The wrong tool for numbers: colours end where scales do; `--stats` and [`super::FieldReport`] have them. What is drawn is of the last frame alone.
 
 use super::eyes::Eyes;
 use super::points::Point;
