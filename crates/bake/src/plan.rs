@@ -8,7 +8,7 @@
 use crate::bundle::{self, Directions, Radiance};
 use crate::export::FINISHING_BYTES_PER_TEXEL;
 use crate::gather::Gatherer;
-use crate::rounds::{Bake, GatherKind, Light, Round, RoundKind};
+use crate::rounds::{Bake, GatherKind, Light, Round, RoundKind, bytes_of_spots};
 use crate::store::{STRETCH, Spill, Store, WINDOWS};
 use crate::sums::Sums;
 use glam::Vec3;
@@ -92,7 +92,7 @@ impl Bake<'_> {
             2 * map
         } else {
             0
-        };
+        } + if has(RoundKind::Spots) { map } else { 0 };
         let (radiance, albedo) = self.subject.triangles.map_or((0, 0), |triangles| {
             let fronts = triangles.sides().fronts_count();
             (Radiance::bytes(self.sides()), 6 * u64::from(fronts))
@@ -107,7 +107,12 @@ impl Bake<'_> {
             .map(|page| page.texels());
         let largest = u64::from(largest.max().unwrap_or(0));
         let all = state + maps + moments;
-        let kept = fixed + self.tiny.bytes();
+        let spots = if has(RoundKind::Spots) {
+            bytes_of_spots(self.sides())
+        } else {
+            0
+        };
+        let kept = fixed + self.tiny.bytes() + spots;
         let (gathering, writing) = if self.store.is_on_disk() {
             // A stretch of everything; a window of the sums; what waits for it. A page while it is written.
             let share = |part: u64| all * part / u64::from(self.sides().max(1));
@@ -185,6 +190,11 @@ impl Bake<'_> {
                 RoundKind::Paths | RoundKind::Direct => {
                     let (seconds, rays) = self.try_samples(round);
                     (seconds, rays * ray * 0.5e-9, rays)
+                }
+                // Whether there are any is known when direct light is.
+                RoundKind::Spots => {
+                    let (seconds, rays) = self.try_samples(round);
+                    (0.5 * seconds, 0.5 * rays * ray * 0.5e-9, 0.5 * rays)
                 }
                 RoundKind::Sky | RoundKind::Reflected => {
                     let (seconds, fragments) = match bundle {

@@ -1,8 +1,8 @@
 //! A bake, round by round.
 //!
 //! By paths there is one round: all light that arrives, by path tracing from every texel. By bundles there are several. The first
-//! finds direct light by exact rays (small and bright lights are what few parallel rays would miss); each further one gathers what
-//! surfaces reflect of all light that the rounds before have brought them, and the sky's even part. The last round's is the
+//! finds direct light by exact rays (small and bright lights are what few parallel rays would miss); the next what spots reflect that are far
+//! brighter than the rest, by rays that are aimed at those; each further one gathers what surfaces reflect of all light that the rounds before have brought them, and the sky's even part. The last round's is the
 //! result: earlier ones are averaged over a hemisphere before they show, so they take half as many directions.
 //!
 //! With `B` bounces in a closed box of albedo `a` and emission `e` the irradiance is `pi e (1 - a^(B+1)) / (1 - a)`.
@@ -12,6 +12,7 @@
 
 mod bundles;
 mod paths;
+mod spots;
 mod tiny;
 
 use crate::bundle::{self, Sides, Triangles};
@@ -27,6 +28,7 @@ use occlude_bvh::Buffer;
 use occlude_render::integrator::World;
 use occlude_render::job::Job;
 use occlude_render::light::Environment;
+pub(crate) use spots::bytes as bytes_of_spots;
 use std::io;
 use std::ops::Range;
 use std::time::{Duration, Instant};
@@ -59,6 +61,9 @@ pub struct Settings {
     pub seed: u64,
     /// Where light comes from is gathered, too: [`Bake::moment`].
     pub directional: bool,
+    /// What texels reflect of the direct light beyond so many times the mean is gathered by rays aimed at them instead of bundles ([`SPOTS`]);
+    /// infinity: never.
+    pub spots: f32,
     /// How bundles are cut into tiles.
     pub bundles: bundle::Settings,
 }
@@ -84,6 +89,8 @@ pub enum RoundKind {
     Paths,
     /// Direct light by exact rays, for bundles to go on with.
     Direct,
+    /// What the brightest spots reflect of that, by exact rays.
+    Spots,
     /// Bundles of the sky alone, before anything is reflected.
     Sky,
     /// Bundles of sky and reflected light.
@@ -100,6 +107,9 @@ pub struct Round {
     /// For people.
     pub name: &'static str,
 }
+
+/// A good choice for [`Settings::spots`]: what lines carry then varies by at most that.
+pub const SPOTS: f32 = 8.0;
 
 /// Direct light takes one sample for so many directions: its shadow rays are aimed at lights.
 const DIRECTIONS_PER_DIRECT_SAMPLE: u32 = 4;
@@ -119,11 +129,24 @@ pub fn rounds(settings: &Settings, sky: bool) -> Vec<Round> {
     if !by_bundles || settings.part == Part::Occlusion || settings.part == Part::Direct && !sky {
         return vec![paths];
     }
+    let bounces = if settings.part == Part::Direct {
+        0
+    } else {
+        settings.bounces
+    };
+    let samples = (all / DIRECTIONS_PER_DIRECT_SAMPLE).max(LEAST_DIRECT_SAMPLES);
     let mut rounds = vec![Round {
         kind: RoundKind::Direct,
-        total: (all / DIRECTIONS_PER_DIRECT_SAMPLE).max(LEAST_DIRECT_SAMPLES),
+        total: samples,
         name: "direct light",
     }];
+    if bounces > 0 && settings.spots.is_finite() {
+        rounds.push(Round {
+            kind: RoundKind::Spots,
+            total: samples,
+            name: "spots",
+        });
+    }
     if sky {
         rounds.push(Round {
             kind: RoundKind::Sky,
@@ -131,11 +154,6 @@ pub fn rounds(settings: &Settings, sky: bool) -> Vec<Round> {
             name: "sky",
         });
     }
-    let bounces = if settings.part == Part::Direct {
-        0
-    } else {
-        settings.bounces
-    };
     const NAMES: [&str; 6] = [
         "bounce 1", "bounce 2", "bounce 3", "bounce 4", "bounce 5", "bounce 6",
     ];
@@ -328,7 +346,9 @@ impl<'a> Bake<'a> {
     /// Entries of [`State::done`] in a round.
     pub fn units_of(&self, round: u32) -> u32 {
         match self.rounds.get(round as usize).map(|r| r.kind) {
-            Some(RoundKind::Paths | RoundKind::Direct) => self.patches.len() as u32,
+            Some(RoundKind::Paths | RoundKind::Direct | RoundKind::Spots) => {
+                self.patches.len() as u32
+            }
             _ => 1,
         }
     }
@@ -345,7 +365,9 @@ impl<'a> Bake<'a> {
     ) -> io::Result<State> {
         let total = self.rounds[round as usize].total;
         let unit = match self.rounds[round as usize].kind {
-            RoundKind::Paths | RoundKind::Direct => self.path_unit(round),
+            RoundKind::Paths | RoundKind::Direct | RoundKind::Spots => {
+                self.path_unit(round, &before)
+            }
             RoundKind::Sky | RoundKind::Reflected => {
                 let brightest = self.brightest(&before);
                 bundle::unit(brightest, total.min(MOST_COUNTED))
@@ -363,6 +385,8 @@ impl<'a> Bake<'a> {
                 units: self.units_of(round),
                 has_direct: !before.direct.is_empty(),
                 has_previous: !before.previous.is_empty(),
+                has_spots: !before.spots.is_empty(),
+                bound: before.bound.to_bits(),
                 moments: [moments, before.direct_moments.len() as u32],
                 unit: [unit.radiance, unit.weight],
                 notes: self.notes.clone(),
@@ -389,20 +413,34 @@ impl<'a> Bake<'a> {
         let State {
             mut before, sums, ..
         } = state;
-        if self.rounds[round as usize].kind == RoundKind::Direct {
-            before.direct = self.store.zeroed(sides)?;
-            develop(&sums, None, &mut before.direct);
-            if let Some(moments) = sums.moments() {
-                before.direct_moments = self.store.zeroed(moments.len() as usize)?;
-                develop(moments, None, &mut before.direct_moments);
+        let kind = self.rounds[round as usize].kind;
+        if matches!(kind, RoundKind::Direct | RoundKind::Spots)
+            && let Some(moments) = sums.moments()
+        {
+            let more = std::mem::take(&mut before.direct_moments);
+            before.direct_moments = self.store.zeroed(moments.len() as usize)?;
+            develop(moments, &[&more], &mut before.direct_moments);
+        }
+        match kind {
+            RoundKind::Paths | RoundKind::Direct => {
+                before.direct = self.store.zeroed(sides)?;
+                develop(&sums, &[], &mut before.direct);
+                before.bound = self.bound(&before);
             }
-            before.previous = Buffer::default();
-        } else {
-            if before.previous.is_empty() {
-                before.previous = self.store.zeroed(sides)?;
+            RoundKind::Spots if before.bound == f32::INFINITY => {}
+            RoundKind::Spots => {
+                before.spots = self.store.zeroed(sides)?;
+                develop(&sums, &[], &mut before.spots);
             }
-            let direct = Some(&before.direct).filter(|direct| !direct.is_empty());
-            develop(&sums, direct, &mut before.previous);
+            RoundKind::Sky | RoundKind::Reflected => {
+                if before.previous.is_empty() {
+                    before.previous = self.store.zeroed(sides)?;
+                }
+                // Of the sky's light nothing has been reflected yet.
+                let spots = Some(&before.spots).filter(|_| kind == RoundKind::Reflected);
+                let more: Vec<_> = std::iter::once(&before.direct).chain(spots).collect();
+                develop(&sums, &more, &mut before.previous);
+            }
         }
         drop(sums);
         self.begin(round + 1, share, before)
@@ -428,7 +466,7 @@ impl<'a> Bake<'a> {
             noise: stop.noise,
         };
         let ended = match round.kind {
-            RoundKind::Paths | RoundKind::Direct => {
+            RoundKind::Paths | RoundKind::Direct | RoundKind::Spots => {
                 self.sample(round, state, until, job, report, at_rest)
             }
             RoundKind::Sky | RoundKind::Reflected => {
@@ -447,6 +485,7 @@ impl<'a> Bake<'a> {
     pub(crate) fn moments_of(&self, round: u32) -> u32 {
         let kind = self.rounds[round as usize].kind;
         let shows = round as usize + 1 == self.rounds.len()
+            || kind == RoundKind::Spots
             || kind == RoundKind::Direct && self.settings.part != Part::Indirect;
         if self.settings.directional && shows {
             self.subject.texels.atlas.texels()
@@ -480,11 +519,13 @@ impl<'a> Bake<'a> {
     pub fn irradiance(&self, state: &State, texel: u32) -> Option<Vec3> {
         let gathered = state.sums.irradiance(texel);
         let direct = state.before.direct.get(texel as usize);
+        let spots = state.before.spots.get(texel as usize);
+        let spots = spots.copied().unwrap_or(Vec3::ZERO);
         let last = self.rounds.last().map(|round| round.kind);
         match (last, self.settings.part) {
             (Some(RoundKind::Direct), Part::Indirect) => gathered.map(|_| Vec3::ZERO),
-            (_, Part::Indirect) => gathered,
-            _ => gathered.map(|light| light + direct.copied().unwrap_or(Vec3::ZERO)),
+            (_, Part::Indirect) => gathered.map(|light| light + spots),
+            _ => gathered.map(|light| light + spots + direct.copied().unwrap_or(Vec3::ZERO)),
         }
     }
 }
@@ -498,15 +539,15 @@ impl<'a> Subject<'a> {
     }
 }
 
-/// The irradiance of all sides, 0 where nothing is known, and that of `more`.
-fn develop(sums: &Sums, more: Option<&Buffer<Vec3>>, map: &mut Buffer<Vec3>) {
+/// The irradiance of all sides, 0 where nothing is known, and that of `more` maps; empty ones count as black.
+fn develop(sums: &Sums, more: &[&Buffer<Vec3>], map: &mut Buffer<Vec3>) {
     for run in 0..sums.runs() {
         let mut locked = sums.lock(run);
         let first = locked.first() as usize;
         for (value, sum) in map[first..].iter_mut().zip(locked.sums()) {
             *value = sums.develop(*sum).unwrap_or(Vec3::ZERO);
         }
-        if let Some(more) = more {
+        for more in more.iter().filter(|more| !more.is_empty()) {
             let values = map[first..first + locked.sums().len()].iter_mut();
             values
                 .zip(&more[first..])

@@ -13,7 +13,7 @@ use std::io::{Read, Write};
 use std::ops::Range;
 
 /// First bytes of a file; the last is the version of the layout.
-const MAGIC: [u8; 8] = *b"occbake\x02";
+const MAGIC: [u8; 8] = *b"occbake\x03";
 
 /// Headers are small; more is no header.
 const MAX_HEADER: u64 = 1 << 20;
@@ -39,6 +39,10 @@ pub struct Header {
     pub has_direct: bool,
     /// There is a map of the round before.
     pub has_previous: bool,
+    /// There is light of spots.
+    pub has_spots: bool,
+    /// Bits of [`Before::bound`], a float.
+    pub bound: u32,
     /// Sides that have first moments: in the sums, and in those of the first round.
     pub moments: [u32; 2],
     /// What sums count, radiance and weight.
@@ -72,7 +76,7 @@ impl From<SumsError> for StateError {
 }
 
 /// What the rounds before have found.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Before {
     /// Irradiance by side that the first round has found, W/m²; empty before its end.
     pub direct: Buffer<Vec3>,
@@ -80,11 +84,33 @@ pub struct Before {
     pub previous: Buffer<Vec3>,
     /// First moments of the light that the first round has found, by texel; empty unless directions are wanted.
     pub direct_moments: Buffer<Vec3>,
+    /// Irradiance by side from spots that reflect the direct light; empty if there are none.
+    pub spots: Buffer<Vec3>,
+    /// Radiance beyond which direct light that is reflected is that of spots, and not carried by bundles; infinite if there are none.
+    pub bound: f32,
+}
+
+impl Default for Before {
+    /// No round is done.
+    fn default() -> Self {
+        Self {
+            direct: Buffer::default(),
+            previous: Buffer::default(),
+            direct_moments: Buffer::default(),
+            spots: Buffer::default(),
+            bound: f32::INFINITY,
+        }
+    }
 }
 
 impl Before {
-    fn maps(&self) -> [&Buffer<Vec3>; 3] {
-        [&self.direct, &self.previous, &self.direct_moments]
+    fn maps(&self) -> [&Buffer<Vec3>; 4] {
+        [
+            &self.direct,
+            &self.previous,
+            &self.direct_moments,
+            &self.spots,
+        ]
     }
 
     /// Lets maps on disk leave memory until they are touched again.
@@ -155,6 +181,8 @@ impl State {
         let header = Header {
             has_direct: !self.before.direct.is_empty(),
             has_previous: !self.before.previous.is_empty(),
+            has_spots: !self.before.spots.is_empty(),
+            bound: self.before.bound.to_bits(),
             moments: [
                 self.sums.moments().map_or(0, Sums::len),
                 self.before.direct_moments.len() as u32,
@@ -195,6 +223,7 @@ impl State {
             && header.units == units_of(header.round)
             && header.items.start <= header.items.end
             && header.items.end <= header.total
+            && f32::from_bits(header.bound) > 0.0
             && header.moments.iter().all(|&len| len <= sides)
             && header
                 .unit
@@ -208,6 +237,8 @@ impl State {
             direct: map(header.has_direct, sides)?,
             previous: map(header.has_previous, sides)?,
             direct_moments: map(true, header.moments[1])?,
+            spots: map(header.has_spots, sides)?,
+            bound: f32::from_bits(header.bound),
         };
         let mut words = vec![0; 4 * header.units as usize];
         source.read_exact(&mut words)?;

@@ -67,6 +67,7 @@ fn rays_bring_tiny_texels_what_lines_would() {
             reach: f32::INFINITY,
             seed,
             directional: false,
+            spots: f32::INFINITY,
             bundles: bundle::Settings {
                 analysis: 64,
                 // A wall is a texel here: many lines for it cost nothing.

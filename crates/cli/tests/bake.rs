@@ -180,7 +180,7 @@ fn threads_shards_and_rounds_leave_no_trace() {
             std::fs::rename(dir.path("merged"), dir.path("before")).unwrap();
             after = " --after before".to_owned();
         }
-        assert_eq!(rounds, if gather == "path" { 1 } else { 3 });
+        assert_eq!(rounds, if gather == "path" { 1 } else { 4 });
         assert_eq!(whole, maps(&dir, "merged"), "{gather}: shards");
         std::fs::remove_dir_all(dir.path("merged")).unwrap();
         dir.refuses("merge part0 part1 -o m", &["missing"]);

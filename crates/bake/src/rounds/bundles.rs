@@ -101,20 +101,30 @@ impl Bake<'_> {
     }
 
     /// All sides, part by part.
-    fn stretches(&self) -> impl Iterator<Item = Range<u32>> {
+    pub(super) fn stretches(&self) -> impl Iterator<Item = Range<u32>> {
         let sides = self.sides();
         (0..sides)
             .step_by(STRETCH as usize)
             .map(move |first| first..sides.min(first.saturating_add(STRETCH)))
     }
 
-    /// Radiance that a side reflects of what the rounds before have brought.
+    /// Radiance that a side reflects of what the rounds before have brought, spots apart.
     fn reflected(&self, before: &Before, side: u32) -> Vec3 {
         let arrived = if before.previous.is_empty() {
             &before.direct
         } else {
             &before.previous
         };
+        (self.reflection(arrived, side) - self.beyond(before, side)).max(Vec3::ZERO)
+    }
+
+    /// Radiance that a side reflects of the direct light.
+    pub(super) fn of_direct(&self, before: &Before, side: u32) -> Vec3 {
+        self.reflection(&before.direct, side)
+    }
+
+    /// Radiance that a side reflects of what has arrived.
+    fn reflection(&self, arrived: &[Vec3], side: u32) -> Vec3 {
         let front = self
             .subject
             .sides()

@@ -1,8 +1,9 @@
-//! Rounds of samples: paths, or direct light, from every texel and every stand-in.
+//! Rounds of samples: paths, direct light, or light of spots, from every texel and every stand-in.
 
+use super::spots::Spots;
 use super::{Bake, Ended, MOST_COUNTED, Patch, Report, Round, RoundKind, Until};
 use crate::gather::{Gatherer, Part, PathSettings, SurfaceSample, placement};
-use crate::state::State;
+use crate::state::{Before, State};
 use crate::store::STRETCH;
 use crate::sums::{Sums, Unit};
 use glam::{Vec2, Vec3};
@@ -43,7 +44,7 @@ impl Bake<'_> {
 
     pub(crate) fn path_settings(&self, round: Round) -> PathSettings {
         let (part, bounces) = match round.kind {
-            RoundKind::Direct => (Part::Direct, 0),
+            RoundKind::Direct | RoundKind::Spots => (Part::Direct, 0),
             _ if self.settings.part == Part::Direct => (Part::Direct, 0),
             _ => (self.settings.part, self.settings.bounces),
         };
@@ -67,7 +68,6 @@ impl Bake<'_> {
         report: &mut Report,
         at_rest: &mut dyn FnMut(&State),
     ) -> Ended {
-        let settings = self.path_settings(round);
         let first = state.header.items.start;
         let target = state.header.items.len() as u32;
         let all: u64 = self.patches.iter().map(|patch| self.texels_of(patch)).sum();
@@ -77,6 +77,11 @@ impl Bake<'_> {
             .sum();
         job.start_phase(round.name, all.saturating_mul(u64::from(target)));
         job.advance(already, 0);
+        let spots = (round.kind == RoundKind::Spots).then(|| self.spots(&state.before));
+        if spots.as_ref().is_some_and(Spots::is_empty) {
+            state.done.fill(target);
+            return Ended::Samples;
+        }
         let gatherers: Mutex<Vec<Gatherer>> = Mutex::default();
         let brightest = brightest_counted(state.sums.unit(), round.total);
 
@@ -117,7 +122,7 @@ impl Bake<'_> {
                         let finished = self.sample_unit(
                             &self.patches[unit],
                             items,
-                            &settings,
+                            (round, spots.as_ref()),
                             brightest,
                             &mut gatherer,
                             job,
@@ -172,12 +177,13 @@ impl Bake<'_> {
         &self,
         patch: &Patch,
         items: Range<u32>,
-        settings: &PathSettings,
+        (round, spots): (Round, Option<&Spots>),
         brightest: f32,
         gatherer: &mut Gatherer,
         job: &Job,
         sums: &Sums,
     ) -> bool {
+        let settings = &self.path_settings(round);
         let mut samples = Vec::new();
         self.place(patch, &items, settings, &mut samples);
         let mut irradiance = vec![Vec3::ZERO; samples.len()];
@@ -186,8 +192,16 @@ impl Bake<'_> {
             if job.is_cancelled() {
                 return false;
             }
-            gatherer.gather(&self.subject.world, settings, samples, irradiance);
-            moments.extend_from_slice(gatherer.moments());
+            match spots {
+                None => {
+                    gatherer.gather(&self.subject.world, settings, samples, irradiance);
+                    moments.extend_from_slice(gatherer.moments());
+                }
+                Some(spots) => {
+                    gatherer.shadow +=
+                        self.gather_spots(round, spots, samples, irradiance, &mut moments);
+                }
+            }
         }
         if let Some(sums) = sums.moments() {
             add_moments(&samples, &irradiance, &moments, brightest, sums);
@@ -272,9 +286,10 @@ impl Bake<'_> {
     }
 
     /// The unit of sums of samples: found from a few of them.
-    pub(super) fn path_unit(&self, round: u32) -> Unit {
+    pub(super) fn path_unit(&self, round: u32, before: &Before) -> Unit {
         let round = self.rounds[round as usize];
         let settings = self.path_settings(round);
+        let spots = (round.kind == RoundKind::Spots).then(|| self.spots(before));
         let step = self.patches.len().div_ceil(PILOT_UNITS).max(1);
         let brightest = self
             .patches
@@ -286,8 +301,18 @@ impl Bake<'_> {
                 let every = samples.len().div_ceil(BATCH).max(1);
                 let samples: Vec<_> = samples.into_iter().step_by(every).collect();
                 let mut irradiance = vec![Vec3::ZERO; samples.len()];
-                let mut gatherer = Gatherer::default();
-                gatherer.gather(&self.subject.world, &settings, &samples, &mut irradiance);
+                match &spots {
+                    None => Gatherer::default().gather(
+                        &self.subject.world,
+                        &settings,
+                        &samples,
+                        &mut irradiance,
+                    ),
+                    Some(spots) => {
+                        let moments = &mut Vec::new();
+                        self.gather_spots(round, spots, &samples, &mut irradiance, moments);
+                    }
+                }
                 let radiance = irradiance.iter().map(|e| e.max_element() * FRAC_1_PI);
                 radiance.filter(|r| r.is_finite()).fold(0.0, f32::max)
             })

@@ -69,11 +69,12 @@ impl Bake<'_> {
         let sums = |of: &(dyn Fn(f32) -> f64 + Sync)| {
             let mut sum = 0.0;
             for range in self.stretches() {
-                let sides: Vec<u32> = range.collect();
-                let parts: Vec<f64> = sides
-                    .par_chunks(4096)
-                    .map(|part| part.iter().map(|&side| of(self.sent(before, side))).sum())
-                    .collect();
+                let starts: Vec<u32> = range.clone().step_by(4096).collect();
+                let parts = starts.into_par_iter().map(|start| {
+                    let sides = start..range.end.min(start + 4096);
+                    sides.map(|side| of(self.sent(before, side))).sum::<f64>()
+                });
+                let parts: Vec<f64> = parts.collect();
                 sum += parts.iter().sum::<f64>();
                 before.release();
                 self.albedo.release();
@@ -162,7 +163,8 @@ impl Bake<'_> {
         for (number, (band, spots, here)) in found.into_iter().enumerate() {
             all.bands.push(band);
             let band = number as u32;
-            all.spots.extend(spots.iter().map(|&spot| Spot { band, ..spot }));
+            all.spots
+                .extend(spots.iter().map(|&spot| Spot { band, ..spot }));
             patches.extend(here);
         }
         all.patches = Patches::new(&patches);
@@ -230,8 +232,8 @@ impl Bake<'_> {
                 });
                 patches.push(Patch {
                     center: 0.5 * (low + high),
-                    // The places reach to the texel's edges but for slivers of several triangles.
-                    radius: 0.5 * low.distance(high),
+                    // The places reach to the texel's edges but for slivers of several triangles: half as much again.
+                    radius: 0.75 * low.distance(high),
                     normal: if back { -axis } else { axis },
                     spread,
                     intensity,
@@ -286,7 +288,8 @@ impl Bake<'_> {
             let between = from.position - to.position;
             let distance2 = between.length_squared();
             let direction = between / distance2.sqrt();
-            let cosines = to.normal.dot(direction).max(0.0) * (-from.normal.dot(direction)).max(0.0);
+            let cosines =
+                to.normal.dot(direction).max(0.0) * (-from.normal.dot(direction)).max(0.0);
             let area = texels.sampled_area(band, spot.texel as usize, hit);
             let light = spot.radiance * (cosines * area / (distance2 * probability));
             if cosines > 0.0 && light.is_finite() {

@@ -304,20 +304,31 @@ impl<'a> Texels<'a> {
 
     /// Square metres of the world that the `i`-th texel of a band covers.
     pub fn world_area(&self, band: &Band, i: usize) -> f32 {
-        let of = |f: &Fragment| {
-            let Some((_, [a, b, c])) = self.atlas.triangle(f.instance, f.primitive) else {
-                return 0.0;
-            };
-            let world = WorldTriangle::new(self.scene, self.pose, f.instance, f.primitive);
-            let texels = 0.5 * (b - a).perp_dot(c - a).abs();
-            let metres = 0.5 * world.front_cross().length();
-            if texels > LEAST_AREA {
-                f.area * metres / texels
-            } else {
-                metres
-            }
+        let fragments = band.fragments(i).iter();
+        fragments.map(|f| self.fragment_area(f)).sum()
+    }
+
+    /// Square metres of the world of which [`Texels::sample`] chooses a point as if that were all: one over its density at `hit`.
+    pub(crate) fn sampled_area(&self, band: &Band, i: usize, hit: Hit) -> f32 {
+        let fragments = band.fragments(i);
+        let total: f32 = fragments.iter().map(|f| f.area).sum();
+        let chosen = |f: &&Fragment| (f.instance, f.primitive) == (hit.instance, hit.primitive);
+        let chosen = fragments.iter().find(chosen);
+        chosen.map_or(0.0, |f| self.fragment_area(f) * total / f.area)
+    }
+
+    fn fragment_area(&self, f: &Fragment) -> f32 {
+        let Some((_, [a, b, c])) = self.atlas.triangle(f.instance, f.primitive) else {
+            return 0.0;
         };
-        band.fragments(i).iter().map(of).sum()
+        let world = WorldTriangle::new(self.scene, self.pose, f.instance, f.primitive);
+        let texels = 0.5 * (b - a).perp_dot(c - a).abs();
+        let metres = 0.5 * world.front_cross().length();
+        if texels > LEAST_AREA {
+            f.area * metres / texels
+        } else {
+            metres
+        }
     }
 
     /// A fragment's shape, and its triangle's corners, on the page.

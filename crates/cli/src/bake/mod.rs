@@ -182,7 +182,8 @@ fn rounds(
 fn stop(work: &WorkArgs, bake: &Bake, state: &State, began: Instant) -> Stop {
     let last = bake.is_last(state);
     let rest = bake.rounds().len() as u32 - state.header.round;
-    let is_direct = bake.rounds()[state.header.round as usize].kind == RoundKind::Direct;
+    let kind = bake.rounds()[state.header.round as usize].kind;
+    let is_direct = matches!(kind, RoundKind::Direct | RoundKind::Spots);
     Stop {
         time_limit: work.time_limit.map(|limit| {
             let left = limit.saturating_sub(began.elapsed());

@@ -7,7 +7,7 @@ use crate::context::Context;
 use occlude_bake::atlas::Atlas;
 use occlude_bake::bundle;
 use occlude_bake::gather::Part;
-use occlude_bake::rounds::{GatherKind, MOST_COUNTED, Settings};
+use occlude_bake::rounds::{GatherKind, MOST_COUNTED, SPOTS, Settings};
 use occlude_scene::Pose;
 
 pub fn settings(
@@ -29,6 +29,7 @@ pub fn settings(
         directions: work.total_directions().min(MOST_COUNTED),
         reach: work.ao_distance.unwrap_or(f32::INFINITY),
         seed,
+        spots: SPOTS,
         directional: work.directional != DirectionalName::None,
         bundles: bundle_settings(atlas, limit),
     }

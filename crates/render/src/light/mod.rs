@@ -15,6 +15,7 @@ mod environment;
 mod facet;
 mod lobes;
 mod parts;
+mod patches;
 mod punctual;
 mod select;
 mod spherical;
@@ -25,6 +26,7 @@ pub(crate) use emission::{Emission, Emitted, Origin};
 pub use environment::Environment;
 pub use lobes::{SkyFit, SkyLobes, SkyResidual, SkySun};
 pub(crate) use parts::{DeltaLight, EmissivePart};
+pub use patches::{Patch, Patches};
 
 use emitter::{EmissiveTriangle, Emitters};
 use glam::{Vec2, Vec3};

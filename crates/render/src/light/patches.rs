@@ -82,7 +82,14 @@ mod tests {
             // The rarest is picked some hundred times: six standard errors.
             assert!((count - 1.0).abs() < 0.5, "{patch}: {count}");
         }
-        assert!(all.pick(place, -Vec3::Z, 0.5, Vec2::ZERO).is_none(), "behind");
-        assert!(Patches::new(&[]).pick(place, Vec3::Z, 0.5, Vec2::ZERO).is_none());
+        assert!(
+            all.pick(place, -Vec3::Z, 0.5, Vec2::ZERO).is_none(),
+            "behind"
+        );
+        assert!(
+            Patches::new(&[])
+                .pick(place, Vec3::Z, 0.5, Vec2::ZERO)
+                .is_none()
+        );
     }
 }

@@ -3,6 +3,7 @@
 use super::{LEAF, Node, Tree, WIDTH};
 use crate::light::emitter::EmissiveTriangle;
 use crate::light::luminance;
+use crate::light::patches::Patch;
 use crate::light::punctual::PointLight;
 use bytemuck::Zeroable;
 use glam::Vec3;
@@ -71,6 +72,18 @@ impl Bounds {
             intensity: (luminance(light.mean_radiance) * facet.area)
                 .clamp(f32::MIN_POSITIVE, f32::MAX),
             backwards: light.double_sided,
+        }
+    }
+
+    pub(in crate::light) fn of_patch(patch: &Patch) -> Self {
+        Self {
+            center: patch.center,
+            radius: patch.radius,
+            axis: patch.normal,
+            spread: patch.spread + SLACK,
+            emission: FRAC_PI_2,
+            intensity: patch.intensity.clamp(f32::MIN_POSITIVE, f32::MAX),
+            backwards: false,
         }
     }
 

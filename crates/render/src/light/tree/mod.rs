@@ -68,6 +68,9 @@ pub(super) struct Promise {
 }
 
 impl Tree {
+    /// Bytes for each light at most: nodes are at least half full.
+    pub(super) const BYTES_PER_LIGHT: usize = (size_of::<Node>() + 4) / 4 + 4;
+
     /// Bytes held.
     #[cfg(test)]
     pub(super) fn bytes(&self) -> usize {
