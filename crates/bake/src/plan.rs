@@ -2,10 +2,11 @@
 //!
 //! Bytes are counted from the sizes of everything that grows with the work. Seconds come from doing a little of each round and
 //! extrapolating, so they are those of the machine at hand. The choice between bundles and paths must not depend on a clock (the same
-//! command must give the same bytes), so it is made from counts: rays of sample paths, triangles and fragments of a sample
-//! direction, each at the price that it had on the machine where the prices were measured.
+//! command must give the same bytes, a checkpoint must fit the command that goes on from it, and all machines of a bake must choose alike), so it
+//! is made from counts ([`Bake::price`]): rays of sample paths, triangles and fragments of a sample direction, each at the price that it had on
+//! the machine where the prices were measured. Only their ratios matter.
 
-use crate::bundle::{self, Directions, Radiance};
+use crate::bundle::{self, BACKS_DIRECTIONS, BACKS_FACTOR, Directions, Radiance};
 use crate::export::FINISHING_BYTES_PER_TEXEL;
 use crate::gather::Gatherer;
 use crate::rounds::{Bake, GatherKind, Light, Round, RoundKind, bytes_of_spots};
@@ -40,8 +41,6 @@ impl Memory {
 pub struct Estimate {
     /// Seconds of every round, on this machine now.
     pub rounds: Vec<f64>,
-    /// The same work at the prices of the reference machine, from counts alone, seconds.
-    pub priced: f64,
     /// Rays of all rounds.
     pub rays: f64,
 }
@@ -66,10 +65,16 @@ const TRIED_SECONDS: f64 = 0.4;
 const RAY: f64 = 150.0;
 const RAY_PER_DOUBLING: f64 = 25.0;
 /// A triangle of a direction, and a fragment with its exchange.
-const TRIANGLE: f64 = 16.0;
-const FRAGMENT: f64 = 14.0;
+const TRIANGLE: f64 = 95.0;
+const FRAGMENT: f64 = 40.0;
 /// A pixel of the analysis, with its mipmaps and the clearing of both.
 const ANALYSIS_PIXEL: f64 = 12.0;
+
+/// Backs that matter, as a share of fronts, before they are known: between none and nearly all.
+const BACKS_SHARE: f64 = 0.5;
+
+/// Where there are spots, their round costs about as much as direct light; where there are none, nothing.
+const SPOTS_SHARE: f64 = 0.5;
 
 impl Bake<'_> {
     /// What will be held. `scene_file`: bytes of the file that the scene came from, which is read again when the scene is written.
@@ -172,49 +177,71 @@ impl Bake<'_> {
     /// The store has no room, or fails.
     pub fn estimate(&self, job: &Job) -> io::Result<Estimate> {
         let mut estimate = Estimate::default();
-        let triangles: usize = {
-            let geometry = self.subject.world.geometry;
-            let meshes = geometry
-                .pose
-                .instances
-                .iter()
-                .map(|posed| posed.mesh as usize);
-            meshes
-                .map(|mesh| geometry.scene.meshes[mesh].triangles.len())
-                .sum()
-        };
-        let ray = RAY + RAY_PER_DOUBLING * (triangles.max(1) as f64).log2();
-        let mut bundle: Option<(f64, f64)> = None;
+        let mut direction = None;
         for &round in self.rounds() {
-            let (seconds, priced, rays) = match round.kind {
-                RoundKind::Paths | RoundKind::Direct => {
-                    let (seconds, rays) = self.try_samples(round);
-                    (seconds, rays * ray * 0.5e-9, rays)
-                }
+            let (seconds, rays) = match round.kind {
+                RoundKind::Paths | RoundKind::Direct => self.try_samples(round),
                 // Whether there are any is known when direct light is.
                 RoundKind::Spots => {
                     let (seconds, rays) = self.try_samples(round);
-                    (0.5 * seconds, 0.5 * rays * ray * 0.5e-9, 0.5 * rays)
+                    (SPOTS_SHARE * seconds, SPOTS_SHARE * rays)
                 }
                 RoundKind::Sky | RoundKind::Reflected => {
-                    let (seconds, fragments) = match bundle {
+                    let seconds = match direction {
                         Some(known) => known,
-                        None => *bundle.insert(self.try_bundles(job)?),
+                        None => *direction.insert(self.try_bundles(MOST_TRIED, job)?.0),
                     };
-                    let all = f64::from(round.total);
-                    let pixels = f64::from(self.settings.bundles.analysis).powi(2);
-                    let priced = triangles as f64 * TRIANGLE
-                        + fragments * FRAGMENT
-                        + self.tiny.rays() * ray
-                        + pixels * ANALYSIS_PIXEL;
-                    (seconds * all, priced * all * 0.5e-9, 0.0)
+                    (seconds * f64::from(round.total), 0.0)
                 }
             };
             estimate.rounds.push(seconds);
-            estimate.priced += priced;
             estimate.rays += rays;
         }
         Ok(estimate)
+    }
+
+    /// What the work costs at the prices of the reference machine, seconds, from counts alone: the same on every machine. By bundles that includes finding
+    /// backs, which need not be known.
+    ///
+    /// # Errors
+    /// As [`Bake::estimate`].
+    pub fn price(&self, job: &Job) -> io::Result<f64> {
+        let geometry = self.subject.world.geometry;
+        let meshes = geometry.pose.instances.iter().map(|posed| posed.mesh);
+        let triangles: usize = meshes
+            .map(|mesh| geometry.scene.meshes[mesh as usize].triangles.len())
+            .sum();
+        let ray = RAY + RAY_PER_DOUBLING * (triangles.max(1) as f64).log2();
+        let backs = match self.subject.triangles {
+            Some(triangles) if triangles.sides().has_backs() => 1.0,
+            Some(_) => 1.0 + BACKS_SHARE,
+            None => 1.0,
+        };
+        let through = triangles as f64 * TRIANGLE
+            + f64::from(self.settings.bundles.analysis).powi(2) * ANALYSIS_PIXEL;
+        let mut fragments = None;
+        let mut price = 0.0;
+        for &round in self.rounds() {
+            price += match round.kind {
+                RoundKind::Paths => self.try_samples(round).1 * ray,
+                RoundKind::Direct => self.try_samples(round).1 * backs * ray,
+                RoundKind::Spots => SPOTS_SHARE * self.try_samples(round).1 * backs * ray,
+                RoundKind::Sky | RoundKind::Reflected => {
+                    let fragments = match fragments {
+                        Some(known) => known,
+                        None => {
+                            let count = self.try_bundles(COUNTED, job)?.1;
+                            price += f64::from(BACKS_DIRECTIONS)
+                                * (through + count * f64::from(BACKS_FACTOR) * FRAGMENT);
+                            *fragments.insert(count)
+                        }
+                    };
+                    let direction = through + fragments * FRAGMENT + self.tiny.rays() * ray;
+                    direction * f64::from(round.total)
+                }
+            };
+        }
+        Ok(price * 0.5e-9)
     }
 
     /// Seconds and rays of a round of samples.
@@ -250,9 +277,9 @@ impl Bake<'_> {
         (began.elapsed().as_secs_f64() * scale, rays as f64 * scale)
     }
 
-    /// Seconds and fragments of one direction. Seconds come from as many directions as it takes to know them, fragments always from the
+    /// Seconds and fragments of one direction. Seconds come from as many directions as it takes to know them, `most` at most, fragments always from the
     /// same.
-    fn try_bundles(&self, job: &Job) -> io::Result<(f64, f64)> {
+    fn try_bundles(&self, most: u32, job: &Job) -> io::Result<(f64, f64)> {
         let Some(triangles) = self.subject.triangles else {
             return Ok((0.0, 0.0));
         };
@@ -285,7 +312,7 @@ impl Bake<'_> {
         let counted = gather(0..COUNTED);
         let fragments = counted.fragments as f64 / (counted.directions as f64).max(1.0);
         let (mut next, mut seconds) = (COUNTED, 0.0);
-        while next < MOST_TRIED && seconds < TRIED_SECONDS && !job.is_cancelled() {
+        while next < most && seconds < TRIED_SECONDS && !job.is_cancelled() {
             let began = Instant::now();
             gather(next..next + COUNTED);
             next += COUNTED;

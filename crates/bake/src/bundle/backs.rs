@@ -13,8 +13,8 @@ use occlude_render::job::Job;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 
 /// Directions that look for backs, and lines per texel in each.
-const DIRECTIONS: u32 = 48;
-const FACTOR: f32 = 1.0 / 8.0;
+pub(crate) const DIRECTIONS: u32 = 48;
+pub(crate) const FACTOR: f32 = 1.0 / 8.0;
 
 impl Triangles<'_> {
     /// Finds the backs that matter and gives them numbers. Deterministic. Takes as long as about ten directions of [`gather`](super::gather).

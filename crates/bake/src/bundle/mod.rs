@@ -35,6 +35,7 @@ mod triangles;
 mod work;
 
 pub use analysis::Counting;
+pub(crate) use backs::{DIRECTIONS as BACKS_DIRECTIONS, FACTOR as BACKS_FACTOR};
 pub(crate) use closed::is_closed;
 pub use frame::Directions;
 pub use radiance::Radiance;

@@ -76,6 +76,11 @@ impl Sides {
         }
     }
 
+    /// Whether some backs matter, as far as is known.
+    pub(crate) fn has_backs(&self) -> bool {
+        !self.fronts.is_empty()
+    }
+
     /// Whether a side is a back.
     pub fn is_back(&self, side: u32) -> bool {
         side >= self.fronts_count()

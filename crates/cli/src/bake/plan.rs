@@ -1,7 +1,6 @@
 //! `occlude plan`: what a bake would take.
 
 use super::PlanArgs;
-use super::args::GatherName;
 use super::setup::prepared;
 use super::subject;
 use crate::context::Context;
@@ -21,12 +20,6 @@ pub fn plan(args: &PlanArgs, context: &mut Context) -> Result<(), CliError> {
             .get("plan")
             .copied()
             .unwrap_or(0.0);
-        // A bake that chooses tries, too.
-        let tried = if args.work.gather == GatherName::Auto {
-            0.0
-        } else {
-            tried
-        };
         let so_far = context.began().elapsed().as_secs_f64() - tried;
         let atlas = &setup.built.atlas;
         let texels = u64::from(atlas.texels());

@@ -88,67 +88,58 @@ pub fn prepared<T>(
         }
         None => settings.entries,
     };
-    let (geometry, mut triangles) = context.phase("build", |context| {
+    let geometry = context.phase("build", |context| {
         let geometry = Geometry::new(&loaded.scene, &pose, &BuildOptions::default())
             .map_err(|error| CliError::input("cannot trace", work.scene.display(), error))?;
         if work.sides == SidesName::Auto {
             turn_over(work, &loaded, &pose, &geometry, &mut built.atlas, context);
         }
-        let mut triangles = (work.gather != GatherName::Path && work.light != LightPart::Ao)
-            .then(|| Triangles::new(&loaded.scene, &pose, &built.atlas));
-        if let Some(triangles) = &mut triangles {
-            let mut settings = bundle_settings(&built.atlas, limit);
-            settings.entries = entries(&settings);
-            triangles.find_backs(context.common.seed, &settings, &context.job);
-        }
-        Ok::<_, CliError>((geometry, triangles))
+        Ok::<_, CliError>(geometry)
     })?;
     let built = built;
     let texels = Texels::new(&loaded.scene, &pose, &built.atlas);
     let seed = context.common.seed;
-    let choices: &[GatherKind] = match (work.gather, &triangles) {
-        (GatherName::Path, _) | (_, None) => &[GatherKind::Path],
-        (GatherName::Bundles, _) => &[GatherKind::Bundles],
-        (GatherName::Auto, _) => &[GatherKind::Bundles, GatherKind::Path],
-    };
-    let mut best: Option<(GatherKind, Option<Estimate>)> = None;
-    for &gather in choices {
-        if choices.len() == 1 && !estimated {
-            best = Some((gather, None));
-            break;
-        }
-        let sky = loaded.sky(work, gather);
-        let lights = Lights::new(&loaded.scene, &pose, sky.asked, LightSelection::Tree);
-        let subject = Subject {
-            world: World {
-                geometry: &geometry,
-                lights: &lights,
-            },
-            texels: &texels,
-            triangles: triangles.as_ref().filter(|_| gather == GatherKind::Bundles),
-            sky: sky.even.as_ref().map(|(sky, brightest)| (sky, *brightest)),
-            luminous: sky.luminous,
+    let failed = |error: std::io::Error| work.scratch_failed(&error);
+    // By bundles, and by paths if that is cheaper or wanted.
+    let mut triangles = (work.gather != GatherName::Path && work.light != LightPart::Ao)
+        .then(|| Triangles::new(&loaded.scene, &pose, &built.atlas));
+    if triangles.is_some() && work.gather == GatherName::Auto {
+        // Before backs are found, which paths do not need.
+        let price = |gather: GatherKind, context: &Context| {
+            let sky = loaded.sky(work, gather);
+            let lights = Lights::new(&loaded.scene, &pose, sky.asked, LightSelection::Tree);
+            let subject = Subject {
+                world: World {
+                    geometry: &geometry,
+                    lights: &lights,
+                },
+                texels: &texels,
+                triangles: triangles.as_ref().filter(|_| gather == GatherKind::Bundles),
+                sky: sky.even.as_ref().map(|(sky, brightest)| (sky, *brightest)),
+                luminous: sky.luminous,
+            };
+            let mut settings = settings(work, &built.atlas, gather, seed, limit);
+            settings.bundles.entries = entries(&settings.bundles);
+            Bake::new(subject, settings, work.store(), 0, String::new())?.price(&context.job)
         };
-        let mut settings = settings(work, &built.atlas, gather, seed, limit);
-        settings.bundles.entries = entries(&settings.bundles);
-        let failed = |error: std::io::Error| work.scratch_failed(&error);
-        let tried = Bake::new(subject, settings, work.store(), 0, String::new()).map_err(failed)?;
-        let job = context.job.clone();
-        let estimate = context
-            .phase("plan", |_| tried.estimate(&job))
-            .map_err(failed)?;
-        let better = best.as_ref().is_none_or(|(_, best)| {
-            best.as_ref()
-                .is_none_or(|best| estimate.priced < best.priced)
+        let [bundles, paths] = context.phase("choose", |context| {
+            [GatherKind::Bundles, GatherKind::Path].map(|gather| price(gather, context))
         });
-        if better {
-            best = Some((gather, Some(estimate)));
+        if paths.map_err(failed)? < bundles.map_err(failed)? {
+            triangles = None;
         }
     }
-    let (gather, estimate) = best.unwrap_or((GatherKind::Path, None));
-    if gather == GatherKind::Path {
-        triangles = None;
+    if let Some(triangles) = &mut triangles {
+        let mut settings = bundle_settings(&built.atlas, limit);
+        settings.entries = entries(&settings);
+        context.phase("build", |context| {
+            triangles.find_backs(seed, &settings, &context.job)
+        });
     }
+    let gather = match triangles {
+        Some(_) => GatherKind::Bundles,
+        None => GatherKind::Path,
+    };
     let sky = loaded.sky(work, gather);
     let lights = Lights::new(&loaded.scene, &pose, sky.asked, LightSelection::Tree);
     context.stats.scene_counts = Some({
@@ -180,7 +171,7 @@ pub fn prepared<T>(
         fingerprint,
         notes()?,
     )
-    .map_err(|error| work.scratch_failed(&error))?;
+    .map_err(failed)?;
     let (now, so_far) = (stats::resident_memory(), stats::peak_memory());
     let memory = bake.memory(std::fs::metadata(&work.scene).map_or(0, |data| data.len()));
     let with = |more: u64| so_far.max(now + more + more / 16 + SLACK_BYTES);
@@ -190,6 +181,13 @@ pub fn prepared<T>(
         let entries = settings.entries_within(left / 17 * 16, rayon::current_num_threads() as u64);
         bake.limit_entries(entries);
     }
+    let estimate = if estimated {
+        let job = context.job.clone();
+        let tried = context.phase("plan", |_| bake.estimate(&job));
+        Some(tried.map_err(failed)?)
+    } else {
+        None
+    };
     let setup = Setup {
         loaded: &loaded,
         originals: &originals,

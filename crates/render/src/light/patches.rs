@@ -58,7 +58,7 @@ mod tests {
     #[test]
     fn picks_have_the_probability_that_is_said() {
         let mut random = Random(3);
-        let mut unit = || random.unit() as f32;
+        let mut unit = || random.unit();
         let patches: Vec<Patch> = (0..40)
             .map(|_| Patch {
                 center: Vec3::new(4.0 * unit(), 4.0 * unit(), 2.0),
