@@ -67,7 +67,6 @@ pub const fn subject(
     }
 }
 
-const RENDERED: &[&str] = &["reduction", "pictures"];
 const CURVED: &[&str] = &["reduction", "pictures", "curves"];
 
 /// All subjects.
@@ -176,7 +175,7 @@ pub const SUBJECTS: &[Subject] = &[
         "bedroom",
         Source::File("bedroom.glb", None),
         [Some(50.0), Some(5.0)],
-        &["cost", "reduction", "pictures"],
+        &["cost", "reduction", "pictures", "curves"],
     ),
     subject(
         "sponza",
@@ -196,7 +195,7 @@ pub const SUBJECTS: &[Subject] = &[
         "victorian_house",
         Source::File("victorian_house.glb", None),
         [None, Some(10.0)],
-        RENDERED,
+        CURVED,
     ),
     Subject {
         vpls: 256,
@@ -211,7 +210,7 @@ pub const SUBJECTS: &[Subject] = &[
         "white_room",
         Source::File("white_room.glb", None),
         [None, None],
-        &["reduction", "pictures", "consistent"],
+        &["reduction", "pictures", "curves", "consistent"],
     ),
     Subject {
         change: Change::ThreePoints,
@@ -219,7 +218,7 @@ pub const SUBJECTS: &[Subject] = &[
             "sibenik",
             Source::File("sibenik/sibenik.obj", None),
             [None, None],
-            RENDERED,
+            CURVED,
         )
     },
 ];
