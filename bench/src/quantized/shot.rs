@@ -143,7 +143,7 @@ impl<'a> Stage<'a> {
             &settings,
             &mut film,
             &Job::new(),
-            at_rest,
+            &mut |rest| at_rest(rest.film),
         );
         Shot {
             seconds: start.elapsed().as_secs_f64(),

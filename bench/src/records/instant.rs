@@ -1,14 +1,15 @@
 //! Instant radiosity: a map a virtual light, three records a light, exact rays (Figs. 6 and 7).
 
-use super::Plan;
+use super::per_light::{self, MapPerLight};
 use super::stage::{Measured, Random, settings, walks};
+use super::{Plan, reasons};
 use crate::common::{Report, Row, Setting, median, thread_seconds};
 use crate::quantized::figure;
 use crate::quantized::quality::quality;
 use crate::quantized::shot::{Stage, Task, instant_radiosity, interleave};
 use crate::quantized::{fixed, percent};
 use glam::Vec2;
-use occlude_visibility::records::{DistanceTracer, RecordSettings, Records, Scout, Select};
+use occlude_visibility::records::{DistanceTracer, RecordSettings, Records, Scout};
 use occlude_visibility::{
     Endpoint, EveryLight, Exact, EyeSample, LightEnd, Session, SharedLight, Visibility,
 };
@@ -20,7 +21,10 @@ pub fn run(
     measured: &Measured,
     stage: &Stage,
 ) {
-    costs(setting, plan, report, measured.subject.name, stage);
+    let name = measured.subject.name;
+    if let Some(bound) = costs(setting, plan, report, name, stage) {
+        per_light::frames(plan, report, name, stage, bound);
+    }
     frames(setting, plan, report, measured, stage);
 }
 
@@ -85,22 +89,27 @@ fn nanoseconds<'a, V: Visibility<occlude_render::geometry::Geometry<'a>>>(
     median(&times[1..]).0
 }
 
-fn costs(setting: &Setting, plan: &Plan, report: &mut Report, name: &str, stage: &Stage) {
+/// The bound on what three records can gain over a map a light.
+fn costs(
+    setting: &Setting,
+    plan: &Plan,
+    report: &mut Report,
+    name: &str,
+    stage: &Stage,
+) -> Option<f64> {
     let questions = questions(setting, plan, stage);
     if questions.0.is_empty() || questions.1.is_empty() {
-        return report.note(format!("{name}: nothing to ask"));
+        report.note(format!("{name}: nothing to ask"));
+        return None;
     }
-    let records = |select| {
-        let settings = RecordSettings {
-            select,
-            pace: 0,
-            ..settings(stage, plan, false)
-        };
-        let records = Records::new(settings).expect("legal settings");
-        records.prepare(stage.geometry, &[], &mut walks(stage, plan));
-        records
-    };
-    let (one, three) = (records(Select::Nearest), records(Select::Probable));
+    let one = MapPerLight::new(stage, plan, questions.1.len() as u32);
+    one.prepare(stage.geometry, &questions.1, &mut walks(stage, plan));
+    let three = Records::new(RecordSettings {
+        pace: 0,
+        ..settings(stage, plan, false)
+    })
+    .expect("legal settings");
+    three.prepare(stage.geometry, &[], &mut walks(stage, plan));
     let site = {
         let cache = three.cache();
         let views = cache.views();
@@ -117,13 +126,13 @@ fn costs(setting: &Setting, plan: &Plan, report: &mut Report, name: &str, stage:
     let exact = nanoseconds(stage, &Exact, &questions, repetitions);
     let c1 = nanoseconds(stage, &one, &questions, repetitions);
     let c3 = nanoseconds(stage, &three, &questions, repetitions);
-    let pixels = 640.0 * 400.0;
+    let pixels = f64::from(plan.size[0] * plan.size[1]);
     let bound = (fill + pixels * c1) / (pixels * c3);
     report.raw(&format!("instant,{name},0,exact,{exact},ns"));
     report.raw(&format!("instant,{name},0,c1,{c1},ns"));
     report.raw(&format!("instant,{name},0,c3,{c3},ns"));
     report.table(
-        "Costs of a question, one core: a map a virtual light against three records (640x400; paper's gain: 36x in San Miguel, 7x in Sibenik, whose fills were slow)",
+        "Costs of a question, one core: a map a virtual light against three records (a sample a pixel; paper's gain: 36x in San Miguel, 7x in Sibenik, whose fills were slow)",
         &[
             "scene", "fill F, ms", "one map c1, ns", "three records c3, ns", "exact ray, ns", "bound (F + T c1)/(T c3)",
             "exact / c3",
@@ -138,6 +147,7 @@ fn costs(setting: &Setting, plan: &Plan, report: &mut Report, name: &str, stage:
             fixed(exact / c3),
         ],
     );
+    Some(bound)
 }
 
 fn frames(setting: &Setting, plan: &Plan, report: &mut Report, measured: &Measured, stage: &Stage) {
@@ -197,6 +207,7 @@ fn frames(setting: &Setting, plan: &Plan, report: &mut Report, measured: &Measur
             "frame",
             "without filling",
             "traced",
+            "of these: no record, below, unknown, near",
             "energy change",
             "FLIP",
             "relMSE",
@@ -211,6 +222,7 @@ fn frames(setting: &Setting, plan: &Plan, report: &mut Report, measured: &Measur
             format!("x{}", fixed(whole)),
             format!("x{}", fixed(te / (tc - ready).max(1e-9))),
             percent(c.report.visibility.traced as f64 / c.report.visibility.queries as f64),
+            reasons(&c.report.visibility.unanswered),
             percent(q.energy),
             fixed(q.flip),
             format!("{:.2e}", q.relmse),

@@ -14,12 +14,15 @@
 mod fill;
 mod instant;
 mod modes;
+mod per_light;
 mod rays;
 mod refinement;
 mod stage;
 mod views;
 
 use crate::common::{Report, Setting};
+use crate::quantized::percent;
+use occlude_visibility::Unanswered;
 use stage::SUBJECTS;
 
 const TOPICS: &[&str] = &["fill", "rays", "instant", "refinement", "modes", "views"];
@@ -111,4 +114,16 @@ pub fn run(setting: &Setting) -> Report {
             });
     }
     report
+}
+
+/// Shares of the reasons why records left questions to rays.
+fn reasons(counts: &Unanswered) -> String {
+    let share = |count: u64| percent(count as f64 / counts.total().max(1) as f64);
+    let all = [
+        counts.no_record,
+        counts.below_horizon,
+        counts.unknown,
+        counts.too_near,
+    ];
+    all.map(share).join(", ")
 }

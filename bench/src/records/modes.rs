@@ -30,6 +30,7 @@ pub fn run(plan: &Plan, report: &mut Report, name: &str, stage: &Stage) {
         (Select::Probable, Lookup::Snap, 4.0, 0.0),
         (Select::Nearest, Lookup::March, 4.0, 0.0),
         (Select::Probable, Lookup::March, 4.0, 0.0),
+        (Select::Probable, Lookup::Plane, 4.0, 0.0),
         // Near field: nothing traced, and short rays at both ends.
         (Select::Probable, Lookup::Snap, 0.0, 0.0),
         (Select::Probable, Lookup::Snap, 4.0, 1.0),

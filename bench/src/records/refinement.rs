@@ -1,14 +1,31 @@
-//! Does refinement pay? Error and spread of the importance over steps, by alpha (Figs. 5 and 10).
+//! Does refinement pay? Error and spread of the importance over steps, by alpha (Figs. 5 and 10), against other placements.
 
 use super::Plan;
-use super::stage::{settings, walks};
+use super::stage::{BlueNoise, settings, walks};
 use crate::common::{Report, Row, Setting};
 use crate::quantized::fixed;
 use crate::quantized::plot::{Curve, Plot};
 use crate::quantized::quality::quality;
-use crate::quantized::shot::{Stage, Task, instant_radiosity};
+use crate::quantized::shot::{Shot, Stage, Task, instant_radiosity};
+use glam::Vec3;
 use occlude_visibility::Exact;
 use occlude_visibility::records::{Cache, RecordSettings, Records, Scout};
+
+/// Weights of use: the paper's three (Fig. 10), and the default.
+const ALPHAS: [f32; 4] = [0.6, 0.0, 0.5, 1.0];
+
+/// Where the camera goes while records follow it (Fig. 5), in radii of the scene, if nothing stands in its way.
+const STRIDE: f32 = 0.02;
+
+/// What all pictures share.
+struct Study<'s, 'a> {
+    plan: &'s Plan,
+    stage: &'s Stage<'a>,
+    name: &'s str,
+    task: Task,
+    exact: Shot,
+    count: u32,
+}
 
 pub fn run(setting: &Setting, plan: &Plan, report: &mut Report, name: &str, stage: &Stage) {
     let task = Task {
@@ -18,64 +35,57 @@ pub fn run(setting: &Setting, plan: &Plan, report: &mut Report, name: &str, stag
         seed: plan.seed,
         single_passes: false,
     };
-    let exact = stage.shoot(&Exact, &task);
-    let count = plan.count / 4;
+    let study = Study {
+        plan,
+        stage,
+        name,
+        task,
+        exact: stage.shoot(&Exact, &task),
+        count: plan.count / 4,
+    };
     let mut curves = Vec::new();
-    let mut halves = (f64::NAN, f64::NAN);
-    for alpha in [0.0, 0.5, 1.0] {
+    let mut initial = f64::NAN;
+    for alpha in ALPHAS {
+        let usual = alpha == ALPHAS[0];
         let mut points = Vec::new();
-        for steps in [0, 250, 500, 1000, 2000] {
-            if setting.quick && steps > 250 || steps == 0 && alpha != 0.5 {
-                continue;
-            }
+        let steps: &[u32] = match (setting.quick, usual) {
+            (true, true) => &[0, 250],
+            (true, false) => &[250],
+            (false, true) => &[0, 250, 500, 1000, 2000],
+            (false, false) => &[500, 2000],
+        };
+        for &steps in steps {
             let records = Records::new(RecordSettings {
-                capacity: count,
+                capacity: study.count,
                 steps,
                 alpha,
                 ..settings(stage, plan, false)
             })
             .expect("legal settings");
-            let shot = stage.shoot(&records, &task);
-            let Ok(q) = quality(&shot.picture, &exact.picture) else {
+            let Some(error) = study.shoot(report, &records, "camera paths, rejection", steps)
+            else {
                 continue;
             };
-            let (mean, variance) = records.cache().importance_spread();
-            report.table(
-                "Instant radiosity over refinement steps (Figs. 5 and 10)",
-                &[
-                    "scene",
-                    "records",
-                    "alpha",
-                    "steps",
-                    "relMSE",
-                    "FLIP",
-                    "mean gamma",
-                    "variance",
-                    "coefficient of variation",
-                ],
-                vec![
-                    name.into(),
-                    count.to_string(),
-                    alpha.to_string(),
-                    steps.to_string(),
-                    format!("{:.3e}", q.relmse),
-                    format!("{:.4}", q.flip),
-                    fixed(mean),
-                    format!("{variance:.4}"),
-                    fixed(variance.sqrt() / mean),
-                ],
-            );
-            report.raw(&format!(
-                "refinement,{name},0,relmse alpha {alpha} steps {steps},{},",
-                q.relmse
-            ));
-            points.push((f64::from(steps), q.relmse));
-            if alpha == 0.5 {
-                if steps == 0 {
-                    halves.0 = q.relmse;
-                }
-                halves.1 = q.relmse;
+            if steps == 0 {
+                initial = error;
             }
+            points.push((f64::from(steps), error));
+        }
+        if !usual {
+            points.insert(0, (0.0, initial));
+        }
+        if usual && let Some(&(steps, last)) = points.last() {
+            report.row(Row {
+                name: format!("relMSE after {steps} steps"),
+                scene: name.into(),
+                value: last,
+                unit: String::new(),
+                baseline: Some(initial),
+                ratio: Some(last / initial),
+                spread: None,
+                bar: Some("<= 0.5 x initial".into()),
+                holds: Some(last <= 0.5 * initial),
+            });
         }
         curves.push(Curve {
             name: format!("alpha {alpha}"),
@@ -83,52 +93,34 @@ pub fn run(setting: &Setting, plan: &Plan, report: &mut Report, name: &str, stag
             dashed: false,
         });
     }
-    report.row(Row {
-        name: "relMSE after the most steps".into(),
-        scene: name.into(),
-        value: halves.1,
-        unit: String::new(),
-        baseline: Some(halves.0),
-        ratio: Some(halves.1 / halves.0),
-        spread: None,
-        bar: Some("<= 0.5 x initial".into()),
-        holds: Some(halves.1 <= 0.5 * halves.0),
-    });
+    let blue = Records::new(RecordSettings {
+        capacity: study.count,
+        steps_per_picture: 0,
+        ..settings(stage, plan, false)
+    })
+    .expect("legal settings");
+    let mut scout = BlueNoise::new(&mut walks(stage, plan), study.count as usize);
+    (blue.cache_mut()).place_initial(stage.geometry, &mut scout);
+    if let Some(error) = study.shoot(report, &blue, "blue noise", 0) {
+        curves.push(Curve {
+            name: "blue noise, no steps".into(),
+            points: vec![(0.0, error), (2000.0, error)],
+            dashed: true,
+        });
+    }
     let plot = Plot {
-        title: &format!("{name}: instant radiosity, {count} records"),
+        title: &format!("{name}: instant radiosity, {} records", study.count),
         x: "refinement steps",
         log_x: false,
         log_y: true,
         curves: &curves,
     };
     report.figure(&format!("{name}: relMSE over refinement steps"), plot.svg());
-
-    // Path-like use, spread over steps: the camera stands still.
-    let mut cache = Cache::new(RecordSettings {
-        capacity: count,
-        ..settings(stage, plan, false)
-    })
-    .expect("legal settings");
-    let mut scout = walks(stage, plan);
-    cache.place_initial(stage.geometry, &mut scout);
-    let asked = 4 * cache.len();
-    let mut points = Vec::new();
-    let mut done = 0;
     let rounds = if setting.quick { 3 } else { 16 };
-    for _ in 0..=rounds {
-        let mut pilots = Vec::new();
-        scout.draw(asked, &mut pilots);
-        cache.pilot(&pilots);
-        let (mean, variance) = cache.importance_spread();
-        points.push((f64::from(done), variance.sqrt() / mean));
-        cache.refine_before(stage.geometry, 125, &mut |sites| scout.draw(asked, sites));
-        done += 125;
-    }
-    let curves = [Curve {
-        name: "still camera".into(),
-        points,
-        dashed: false,
-    }];
+    let curves = [
+        study.spread(report, rounds, false),
+        study.spread(report, rounds, true),
+    ];
     let plot = Plot {
         title: &format!("{name}: coefficient of variation of gamma"),
         x: "refinement steps",
@@ -140,4 +132,93 @@ pub fn run(setting: &Setting, plan: &Plan, report: &mut Report, name: &str, stag
         &format!("{name}: spread of the importance (Fig. 5)"),
         plot.svg(),
     );
+}
+
+impl Study<'_, '_> {
+    /// Renders by these records; a row of the table. The error.
+    fn shoot(
+        &self,
+        report: &mut Report,
+        records: &Records,
+        placement: &str,
+        steps: u32,
+    ) -> Option<f64> {
+        let shot = self.stage.shoot(records, &self.task);
+        let q = quality(&shot.picture, &self.exact.picture).ok()?;
+        let (mean, variance) = records.cache().importance_spread();
+        let alpha = records.cache().settings().alpha;
+        let stats = &shot.report.visibility;
+        report.table(
+            "Instant radiosity over refinement steps (Figs. 5 and 10)",
+            &[
+                "scene",
+                "records",
+                "placed by",
+                "alpha",
+                "steps",
+                "relMSE",
+                "FLIP",
+                "traced",
+                "mean gamma",
+                "variance",
+                "coefficient of variation",
+            ],
+            vec![
+                self.name.into(),
+                records.cache().len().to_string(),
+                placement.into(),
+                alpha.to_string(),
+                steps.to_string(),
+                format!("{:.3e}", q.relmse),
+                format!("{:.4}", q.flip),
+                crate::quantized::percent(stats.traced as f64 / stats.queries.max(1) as f64),
+                fixed(mean),
+                format!("{variance:.4}"),
+                fixed(variance.sqrt() / mean),
+            ],
+        );
+        report.raw(&format!(
+            "refinement,{},0,relmse {placement} alpha {alpha} steps {steps},{},",
+            self.name, q.relmse
+        ));
+        Some(q.relmse)
+    }
+
+    /// Path-like use: spread of the importance over steps, while the camera stands still or moves a stride every 125 steps.
+    fn spread(&self, report: &mut Report, rounds: u32, moving: bool) -> Curve {
+        let mut cache = Cache::new(RecordSettings {
+            capacity: self.count,
+            ..settings(self.stage, self.plan, false)
+        })
+        .expect("legal settings");
+        let mut scout = walks(self.stage, self.plan);
+        cache.place_initial(self.stage.geometry, &mut scout);
+        let asked = 4 * cache.len();
+        let what = if moving { "moving" } else { "still" };
+        let mut points = Vec::new();
+        for round in 0..=rounds {
+            let mut pilots = Vec::new();
+            scout.draw(asked, &mut pilots);
+            cache.pilot(&pilots);
+            let (mean, variance) = cache.importance_spread();
+            let steps = 125 * round;
+            points.push((f64::from(steps), variance.sqrt() / mean));
+            report.raw(&format!(
+                "refinement,{},0,{what} camera: coefficient of variation at {steps},{},",
+                self.name,
+                variance.sqrt() / mean
+            ));
+            if moving {
+                scout.shift += STRIDE * self.stage.bounds.radius * Vec3::X;
+            }
+            cache.refine_before(self.stage.geometry, 125, &mut |sites| {
+                scout.draw(asked, sites);
+            });
+        }
+        Curve {
+            name: format!("{what} camera"),
+            points,
+            dashed: moving,
+        }
+    }
 }

@@ -6,8 +6,8 @@ use crate::quantized::subject::{Change, Source, Subject, subject};
 use glam::{Vec2, Vec3};
 use occlude_render::geometry::Geometry;
 use occlude_scene::procedural::Name;
-use occlude_visibility::Ray;
 use occlude_visibility::records::{Cache, DistanceTracer, PathSite, RecordSettings, Scout, Site};
+use occlude_visibility::{Ray, Tracer};
 
 /// A scene, the topics that use it, and bars on secondary rays (times exact ones) and on instant radiosity.
 pub struct Measured {
@@ -114,6 +114,8 @@ pub struct Walks<'s, 'a> {
     pub size: [u32; 2],
     pub random: Random,
     pub vertices: u32,
+    /// How far the camera has moved; it stays where something stands in its way.
+    pub shift: Vec3,
 }
 
 impl Scout for Walks<'_, '_> {
@@ -127,6 +129,18 @@ impl Scout for Walks<'_, '_> {
                     .ray
             })
             .collect();
+        if self.shift != Vec3::ZERO {
+            for ray in &mut rays {
+                let there = ray.origin + self.shift;
+                if !self
+                    .stage
+                    .geometry
+                    .occluded(&Ray::between(ray.origin, there))
+                {
+                    ray.origin = there;
+                }
+            }
+        }
         for depth in 1..=self.vertices {
             let mut met = vec![None; rays.len()];
             self.stage.geometry.sites(&rays, &mut met);
@@ -142,6 +156,41 @@ impl Scout for Walks<'_, '_> {
     }
 }
 
+/// Places as far from each other as may be: farthest-point sampling (Eldar et al. 1997) of the vertices of many paths. Sides of a thin wall do not
+/// know of each other, as for records.
+pub struct BlueNoise(Vec<PathSite>);
+
+impl BlueNoise {
+    pub fn new(scout: &mut dyn Scout, count: usize) -> Self {
+        let mut pool = Vec::new();
+        scout.draw(16 * count, &mut pool);
+        let mut free = vec![f32::INFINITY; pool.len()];
+        let mut chosen = Vec::new();
+        let mut next = (!pool.is_empty()).then_some(0);
+        while let Some(k) = next.filter(|_| chosen.len() < count) {
+            let place = pool[k];
+            chosen.push(place);
+            let mut best = 0.0;
+            next = None;
+            for (other, (site, free)) in pool.iter().zip(&mut free).enumerate() {
+                if site.site.normal.dot(place.site.normal) > 0.5 {
+                    *free = free.min(site.site.position.distance(place.site.position));
+                }
+                if *free > best {
+                    (next, best) = (Some(other), *free);
+                }
+            }
+        }
+        Self(chosen)
+    }
+}
+
+impl Scout for BlueNoise {
+    fn draw(&mut self, _: usize, sites: &mut Vec<PathSite>) {
+        sites.extend(&self.0);
+    }
+}
+
 /// Bounce rays: places and directions behind one and two scattering events.
 pub fn bounces(stage: &Stage, plan: &Plan, count: usize) -> Vec<(Site, Vec3)> {
     let mut sites = Vec::new();
@@ -150,6 +199,7 @@ pub fn bounces(stage: &Stage, plan: &Plan, count: usize) -> Vec<(Site, Vec3)> {
         size: plan.size,
         random: Random(5),
         vertices: 2,
+        shift: Vec3::ZERO,
     }
     .draw(count, &mut sites);
     let mut random = Random(6);
@@ -186,6 +236,7 @@ pub fn walks<'s, 'a>(stage: &'s Stage<'a>, plan: &Plan) -> Walks<'s, 'a> {
         size: plan.size,
         random: Random(plan.seed),
         vertices: 4,
+        shift: Vec3::ZERO,
     }
 }
 

@@ -78,12 +78,17 @@ pub fn run(args: &MergeArgs, context: &mut Context) -> Result<(), CliError> {
     context.phase("write", |_| finish.write(&film, &args.output))
 }
 
-/// Reads a part or a checkpoint.
-pub fn read(path: &Path) -> Result<(Film, Work), CliError> {
+/// Reads a part.
+fn read(path: &Path) -> Result<(Film, Work), CliError> {
+    read_checkpoint(path).map(|(film, work, _)| (film, work))
+}
+
+/// Reads a part or a checkpoint, and the state that a checkpoint holds beside its film.
+pub fn read_checkpoint(path: &Path) -> Result<(Film, Work, Vec<u8>), CliError> {
     let unreadable = |error: std::io::Error| CliError::read(path, &error);
     let file = File::open(path).map_err(unreadable)?;
     let bytes = file.metadata().map_err(unreadable)?.len();
-    Work::read(&mut BufReader::new(file), bytes).map_err(|error| {
+    Work::read_checkpoint(&mut BufReader::new(file), bytes).map_err(|error| {
         CliError::input(
             format_args!("not a part of a render ({error})"),
             path.display(),

@@ -328,6 +328,8 @@ pub struct Records {
     pub milliseconds_per_refinement: f64,
     /// Of placing and filling the first records.
     pub initial_seconds: f64,
+    /// Of what records did between passes, all together.
+    pub upkeep_seconds: f64,
     /// Records traced again because something moved in front of them.
     pub refilled: u64,
     /// `--secondary`: rays that records were asked about.
@@ -336,6 +338,35 @@ pub struct Records {
     /// Those among them that were traced after all.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rays_traced: Option<u64>,
+    /// Why: rays.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rays_unanswered: Option<Unanswered>,
+    /// Why questions for visibility were traced.
+    pub unanswered: Unanswered,
+}
+
+/// Questions that records left to rays, by reason.
+#[derive(Debug, Clone, Copy, Default, Serialize)]
+pub struct Unanswered {
+    /// No record stands near and looks to the same side.
+    pub no_record: u64,
+    /// What is asked about lies below the horizon of the records that stand near.
+    pub below_horizon: u64,
+    /// What they see there cannot be kept or does not fit.
+    pub unknown: u64,
+    /// What is asked about is too near.
+    pub too_near: u64,
+}
+
+impl From<occlude_visibility::Unanswered> for Unanswered {
+    fn from(counts: occlude_visibility::Unanswered) -> Self {
+        Self {
+            no_record: counts.no_record,
+            below_horizon: counts.below_horizon,
+            unknown: counts.unknown,
+            too_near: counts.too_near,
+        }
+    }
 }
 
 /// One picture of a sequence.

@@ -2,6 +2,8 @@
 
 mod util;
 use util::Dir;
+#[cfg(unix)]
+use util::{finish, signal};
 
 const INSTANT: &str =
     "render c.glb --size 48x32 --samples 2 --integrator instant-radiosity --vpls 64";
@@ -39,6 +41,24 @@ fn threads_do_not_show_and_statistics_add_up() {
         );
         let stats = dir.json(&format!("{name}.json"));
         let records = &stats["records"];
+        let reasons = |key: &str| -> u64 {
+            let counts = records[key].as_object();
+            counts.map_or(0, |counts| {
+                counts.values().map(|n| n.as_u64().unwrap()).sum()
+            })
+        };
+        match name {
+            // Every ray but those to lamps.
+            "i" => {
+                let traced = stats["visibility"]["traced"].as_u64().unwrap();
+                assert!(reasons("unanswered") > 0 && reasons("unanswered") <= traced);
+            }
+            "p" => assert_eq!(
+                reasons("rays_unanswered"),
+                records["rays_traced"].as_u64().unwrap()
+            ),
+            _ => assert!(reasons("unanswered") > 0),
+        }
         assert_eq!(records["count"], 60);
         assert_eq!(records["capacity"], 60);
         assert!(records["bytes"].as_u64().unwrap() <= 60 * 32 * 32 * 16);
@@ -53,6 +73,98 @@ fn threads_do_not_show_and_statistics_add_up() {
         }
         let class = if name == "u" { "unbiased" } else { "biased" };
         assert_eq!(seen["class"], class);
+    }
+}
+
+/// Parts of a work with records that stay make the whole; each part has placed and refined the same records by itself.
+#[test]
+fn shards_of_fixed_records_make_the_whole() {
+    let dir = cornell();
+    let instant = INSTANT.replace("--samples 2", "--samples 5");
+    for (name, command) in [
+        ("i", format!("{instant} --visibility records:{FEW},pace=0")),
+        (
+            "u",
+            format!("{instant} --guarantee unbiased --visibility records:{FEW},pace=0"),
+        ),
+        (
+            "p",
+            format!("{PATH} --secondary records:from=1,{FEW},pace=0"),
+        ),
+    ] {
+        dir.must(&format!("{command} -o {name}.exr"));
+        for shard in 0..2 {
+            dir.must(&format!("{command} --shard {shard}/2 -o {name}{shard}.exr"));
+        }
+        dir.must(&format!("merge {name}1.exr {name}0.exr -o {name}m.exr"));
+        assert!(
+            dir.read(&format!("{name}.exr")) == dir.read(&format!("{name}m.exr")),
+            "{name}: parts show"
+        );
+        // Records did answer.
+        dir.must(&format!("{command} -o {name}.exr --stats {name}.json"));
+        let stats = dir.json(&format!("{name}.json"));
+        assert!(stats["records"]["refinements"].as_u64().unwrap() > 5);
+        assert!(stats["visibility"]["answered"].as_u64().unwrap() > 0);
+    }
+}
+
+/// Interrupted, and gone on with: the cache is what it was.
+#[cfg(unix)]
+#[test]
+fn resume_goes_on_with_the_same_records() {
+    for command in [
+        "render c.glb --size 64x64 --secondary records:count=60,resolution=32,steps=20,pace=3",
+        "render c.glb --size 64x64 --integrator instant-radiosity --vpls 64 --visibility records:count=60,resolution=32,steps=20,pace=3",
+    ] {
+        let dir = cornell();
+        let mut samples = 128;
+        loop {
+            let child = dir
+                .command(&format!(
+                    "{command} --samples {samples} -o cut.exr --stats s.json"
+                ))
+                .spawn()
+                .unwrap();
+            std::thread::sleep(std::time::Duration::from_millis(300));
+            signal("INT", child.id());
+            let run = finish(child);
+            // Done before, or not begun: other lengths.
+            let stats = dir.json("s.json");
+            if run.code == Some(0) || stats["samples_per_pixel"] == 0 {
+                samples *= 4;
+                assert!(samples < 1 << 20, "never in the middle");
+                continue;
+            }
+            assert_eq!(run.code, Some(130), "{}", run.stderr);
+            break;
+        }
+        dir.refuses(
+            &format!("{command},alpha=0.1 --samples {samples} -o cut.exr --resume"),
+            &["cut.exr.checkpoint", "another work"],
+        );
+        let checkpoint = dir.read("cut.exr.checkpoint");
+        dir.must(&format!(
+            "{command} --samples {samples} -o cut.exr --resume --threads 3 --stats s.json"
+        ));
+        let stats = dir.json("s.json");
+        let primary = stats["rays"]["primary"].as_u64().unwrap();
+        assert!(primary < 64 * 64 * samples, "resume began anew");
+        dir.must(&format!("{command} --samples {samples} -o whole.exr"));
+        assert!(
+            dir.read("cut.exr") == dir.read("whole.exr"),
+            "the interruption shows: {command}"
+        );
+        // Damaged records are an error.
+        let mut damaged = checkpoint;
+        let last = damaged.len() - 60 * 104 - 24;
+        assert_eq!(&damaged[last..last + 8], b"OCCREC01");
+        damaged[last] ^= 1;
+        std::fs::write(dir.path("cut.exr.checkpoint"), damaged).unwrap();
+        dir.refuses(
+            &format!("{command} --samples {samples} -o cut.exr --resume"),
+            &["cut.exr.checkpoint", "records", "--resume"],
+        );
     }
 }
 
@@ -144,7 +256,14 @@ fn wrong_choices_are_refused() {
         &format!("{PATH} -o a.exr --record-views v"),
         &["--record-views"],
     );
-    dir.refuses(&format!("{} --shard 0/2", instant("")), &["--shard"]);
+    dir.refuses(
+        &format!("{} --shard 0/2", instant("")),
+        &["--shard", "pace=0"],
+    );
+    dir.refuses(
+        &format!("{PATH} -o a.exr --secondary records:pace=1 --shard 0/2"),
+        &["--shard", "pace=0"],
+    );
     for bad in [
         "from=1",
         "select=best",

@@ -1,6 +1,8 @@
 //! `occlude render` and `merge` from outside: pictures, statistics, same bytes, interruption, full disks.
 
 mod util;
+#[cfg(unix)]
+use util::signal;
 use util::{Dir, finish};
 
 /// A folder with a Cornell box in it.
@@ -287,14 +289,6 @@ fn resume_without_a_checkpoint_begins_anew_and_damage_is_refused() {
         "render c.glb --size 16x16 --samples 2 -o a.exr --checkpoint bad.checkpoint --resume",
         &["bad.checkpoint"],
     );
-}
-
-#[cfg(unix)]
-fn signal(name: &str, process: u32) {
-    let status = std::process::Command::new("kill")
-        .args([&format!("-{name}"), &process.to_string()])
-        .status();
-    assert!(status.unwrap().success());
 }
 
 #[cfg(target_os = "linux")]

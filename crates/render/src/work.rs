@@ -64,13 +64,31 @@ pub fn shard_samples(total: u32, index: u32, count: u32) -> Range<u32> {
 }
 
 impl Work {
-    /// Writes a part or a checkpoint.
+    /// Writes a part.
     pub fn write(&self, film: &Film, out: &mut impl Write) -> std::io::Result<()> {
-        film.write(self, out)
+        self.write_checkpoint(film, &[], out)
     }
 
-    /// Reads a part or a checkpoint of `available` bytes.
+    /// Writes a checkpoint: the film so far, and the state of whatever else goes on (see [`records_state`](crate::integrator::records_state)).
+    pub fn write_checkpoint(
+        &self,
+        film: &Film,
+        state: &[u8],
+        out: &mut impl Write,
+    ) -> std::io::Result<()> {
+        film.write(self, state, out)
+    }
+
+    /// Reads a part of `available` bytes, or a checkpoint without its state.
     pub fn read(source: &mut impl Read, available: u64) -> Result<(Film, Self), FilmError> {
+        Self::read_checkpoint(source, available).map(|(film, work, _)| (film, work))
+    }
+
+    /// Reads a checkpoint of `available` bytes, and the state in it.
+    pub fn read_checkpoint(
+        source: &mut impl Read,
+        available: u64,
+    ) -> Result<(Film, Self, Vec<u8>), FilmError> {
         Film::read(source, available)
     }
 

@@ -63,5 +63,5 @@ pub use many::{BLOCK, Correction, EveryLight, EyeSample, ManyLights, SharedLight
 pub use occluder::{Occluder, OccluderWorker};
 pub use query::{Class, Endpoint, Epoch, LightEnd, Query, Visibility};
 pub use session::Session;
-pub use stats::VisibilityStats;
+pub use stats::{Reason, Unanswered, VisibilityStats};
 pub use tracer::{Hit, Ray, Tracer, offset_along_normal};

@@ -18,6 +18,59 @@ pub struct VisibilityStats {
     pub fill: u64,
     /// Answers that gave way to others in a lossy table.
     pub overwritten: u64,
+    /// Questions that records left to rays, by reason.
+    pub unanswered: Unanswered,
+}
+
+/// Why records leave a question to a ray.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reason {
+    /// No record stands near and looks to the same side.
+    NoRecord,
+    /// What is asked about lies below the horizon of the records that stand near.
+    BelowHorizon,
+    /// They look there, but what they see cannot be kept or does not fit.
+    Unknown,
+    /// What is asked about is so near that they see something else than the place does.
+    TooNear,
+}
+
+/// Questions that records left to rays, by [`Reason`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Unanswered {
+    /// [`Reason::NoRecord`].
+    pub no_record: u64,
+    /// [`Reason::BelowHorizon`].
+    pub below_horizon: u64,
+    /// [`Reason::Unknown`].
+    pub unknown: u64,
+    /// [`Reason::TooNear`].
+    pub too_near: u64,
+}
+
+impl Unanswered {
+    /// Counts a question.
+    pub fn count(&mut self, reason: Reason) {
+        *match reason {
+            Reason::NoRecord => &mut self.no_record,
+            Reason::BelowHorizon => &mut self.below_horizon,
+            Reason::Unknown => &mut self.unknown,
+            Reason::TooNear => &mut self.too_near,
+        } += 1;
+    }
+
+    /// Adds the counters of another worker.
+    pub fn add(&mut self, other: &Self) {
+        self.no_record += other.no_record;
+        self.below_horizon += other.below_horizon;
+        self.unknown += other.unknown;
+        self.too_near += other.too_near;
+    }
+
+    /// All of them.
+    pub fn total(&self) -> u64 {
+        self.no_record + self.below_horizon + self.unknown + self.too_near
+    }
 }
 
 impl VisibilityStats {
@@ -28,6 +81,7 @@ impl VisibilityStats {
         self.traced += other.traced;
         self.fill += other.fill;
         self.overwritten += other.overwritten;
+        self.unanswered.add(&other.unanswered);
         if self.refined.len() < other.refined.len() {
             self.refined.resize(other.refined.len(), 0);
         }

@@ -243,7 +243,7 @@ pub struct RenderArgs {
     pub resume: bool,
 
     /// Do part I of N (I from 0) of the samples and write a mergeable part instead of a picture: see occlude merge. With --frames:
-    /// do part I of N of the frames, whole
+    /// do part I of N of the frames, whole. Records must stay as they are before the first pass then: pace=0
     #[arg(long, value_name = "I/N", help_heading = "Work")]
     pub shard: Option<Shard>,
 }
@@ -340,11 +340,17 @@ impl RenderArgs {
                     "use --samples without --time-limit and --noise",
                 ));
             }
-            if self.remembers() || self.secondary.is_some() {
+            let records = self.records();
+            let fixed = !frames && records.is_some_and(RecordsOptions::are_fixed);
+            if (self.remembers() || records.is_some()) && !fixed {
                 return Err(CliError::input(
                     "parts would not add up to the picture of one machine: remembered answers depend on what was asked before",
                     "--shard",
-                    "use --visibility exact or occluder",
+                    if records.is_some() && !frames {
+                        "keep the records as they are before the first pass: add pace=0 to their options"
+                    } else {
+                        "use --visibility exact or occluder"
+                    },
                 ));
             }
             if !frames && self.output.len() != 1 {
@@ -425,6 +431,14 @@ impl RenderArgs {
             samples: self.known_samples(),
             pictures,
             vpls: self.vpls,
+        }
+    }
+
+    /// What was said about records, if there are any.
+    fn records(&self) -> Option<&RecordsOptions> {
+        match &self.visibility {
+            Strategy::Records(options) => Some(options),
+            _ => self.secondary.as_ref(),
         }
     }
 

@@ -26,8 +26,8 @@ use occlude_render::camera::{PixelFilter, View};
 use occlude_render::film::Film;
 use occlude_render::geometry::Geometry;
 use occlude_render::integrator::{
-    self, BidirectionalLimits, InstantRadiosity, PathLimits, RenderReport, RenderSettings,
-    Sequence, StoppedBy, World,
+    self, AtRest, BidirectionalLimits, InstantRadiosity, PathLimits, RenderReport, RenderSettings,
+    Secondary, Sequence, StoppedBy, World,
 };
 use occlude_render::light::Lights;
 use occlude_render::sampling::SamplerKind;
@@ -207,26 +207,37 @@ fn work<'a, V: Visibility<Geometry<'a>>>(
         notes: finish.notes(),
     };
     let checkpoint = args.checkpoint_path();
+    let mut sequence = Sequence::default();
+    if let Some(options) = &args.secondary {
+        let (scene, pose) = (world.geometry.scene, world.geometry.pose);
+        sequence.secondary = Some(options.secondary(context, scene, pose, &args.extent(1))?);
+    }
     let mut film = match resume(args, &checkpoint, &part)? {
-        Some(film) => {
+        Some((film, state)) => {
             context.progress.note(&format!(
                 "going on from {}: {} samples a pixel",
                 checkpoint.display(),
                 film.min_samples()
             ));
+            (sequence.restore_records(world, visibility, &settings, &film, &state)).map_err(
+                |error| {
+                    let cure = "leave out --resume to start anew";
+                    CliError::input(error, checkpoint.display(), cure)
+                },
+            )?;
             film
         }
         None => Film::new(args.size.width, args.size.height, args.records_features()),
     };
     context.progress.expect(args.time_limit);
     signals::graceful();
-    let save = |film: &Film| output::write(&checkpoint, |mut out| part.write(film, &mut out));
+    let save = |film: &Film, secondary: Option<&Secondary>| {
+        let state = integrator::records_state(visibility, secondary);
+        output::write(&checkpoint, |mut out| {
+            part.write_checkpoint(film, &state, &mut out)
+        })
+    };
     let mut saved = Instant::now();
-    let mut sequence = Sequence::default();
-    if let Some(options) = &args.secondary {
-        let (scene, pose) = (world.geometry.scene, world.geometry.pose);
-        sequence.secondary = Some(options.secondary(context, scene, pose, &args.extent(1))?);
-    }
     if args.integrator == Integrator::Field {
         sequence.set_sky(
             args.field
@@ -234,10 +245,10 @@ fn work<'a, V: Visibility<Geometry<'a>>>(
         );
     }
     let report = context.phase("work", |context| {
-        let mut at_rest = |film: &Film| {
+        let mut at_rest = |rest: &AtRest| {
             // A checkpoint that cannot be written now is tried again later, and reported at the end.
             if saved.elapsed() >= CHECKPOINT_PERIOD {
-                let _ = save(film);
+                let _ = save(rest.film, rest.secondary);
                 saved = Instant::now();
             }
         };
@@ -281,9 +292,10 @@ fn work<'a, V: Visibility<Geometry<'a>>>(
         ));
     }
     let cancelled = report.stopped_by == StoppedBy::Cancel;
+    let save = || save(&film, sequence.secondary.as_ref());
     context.phase("write", |_| match (cancelled, args.shard) {
-        (true, Some(_)) => save(&film),
-        (true, None) => save(&film).and(finish.write(&film, &args.output)),
+        (true, Some(_)) => save(),
+        (true, None) => save().and(finish.write(&film, &args.output)),
         (false, Some(_)) => output::write(&args.output[0], |mut out| part.write(&film, &mut out)),
         (false, None) => finish.write(&film, &args.output),
     })?;
@@ -332,6 +344,8 @@ fn work_stats(
     let fill: u64 = fills.iter().flatten().map(|report| report.fill_rays).sum();
     let rays = secondary.map(|_| report.secondary);
     let virtual_lights = report.instant_radiosity;
+    let records = secondary.or(records);
+    let records = records.map(|report| records::statistics(&report, rays, &visibility));
     stats::Work {
         samples_per_pixel,
         stopped_by: report.stopped_by.name(),
@@ -352,7 +366,7 @@ fn work_stats(
             overwritten: visibility.overwritten,
             bytes: bytes.max(secondary.map_or(0, |report| report.peak_bytes)),
         },
-        records: (secondary.or(records)).map(|report| records::statistics(&report, rays)),
+        records,
         vpls: virtual_lights.map(|ir| ir.vpls),
         clamp: (virtual_lights.map(|ir| ir.clamp)).filter(|clamp| clamp.is_finite()),
         clamped_energy: virtual_lights.map(|ir| ir.clamped_energy),
@@ -467,7 +481,7 @@ fn fingerprint(
             settings.seed,
             args.lights,
             args.records_features(),
-            &args.visibility,
+            (&args.visibility, &args.secondary),
             args.guarantee,
             args.sky.environment_rotation,
             args.sky.environment_scale
@@ -487,12 +501,16 @@ fn fingerprint(
     hash
 }
 
-/// The film of the checkpoint, if `--resume` was given and there is one.
-fn resume(args: &RenderArgs, checkpoint: &Path, part: &Work) -> Result<Option<Film>, CliError> {
+/// Film and state of the checkpoint, if `--resume` was given and there is one.
+fn resume(
+    args: &RenderArgs,
+    checkpoint: &Path,
+    part: &Work,
+) -> Result<Option<(Film, Vec<u8>)>, CliError> {
     if !args.resume || !checkpoint.exists() {
         return Ok(None);
     }
-    let (film, work) = merge::read(checkpoint)?;
+    let (film, work, state) = merge::read_checkpoint(checkpoint)?;
     let same_film = (film.width(), film.height(), film.has_features())
         == (args.size.width, args.size.height, args.records_features());
     if !same_film || work.fingerprint != part.fingerprint || work.samples != part.samples {
@@ -502,5 +520,5 @@ fn resume(args: &RenderArgs, checkpoint: &Path, part: &Work) -> Result<Option<Fi
             "repeat its command line, or leave out --resume to start anew",
         ));
     }
-    Ok(Some(film))
+    Ok(Some((film, state)))
 }

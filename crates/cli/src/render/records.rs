@@ -13,6 +13,7 @@ use occlude_render::geometry::Geometry;
 use occlude_render::integrator::{Secondary, SecondaryRays};
 use occlude_render::views::{RecordColour, draw};
 use occlude_scene::{Pose, Scene};
+use occlude_visibility::VisibilityStats;
 use occlude_visibility::records::{
     Cache, Lookup, RecordGuarantee, RecordSettings, Records, RecordsError, RecordsReport, Select,
 };
@@ -99,6 +100,12 @@ impl RecordsOptions {
                 .map_err(|error| format!("{name}: {error}"))?;
         }
         Ok(options)
+    }
+
+    /// Whether the records stay what they are before the first pass. Then they follow from the scene and the options alone; else passes
+    /// that ask other questions make other records.
+    pub fn are_fixed(&self) -> bool {
+        self.pace == Some(0)
     }
 
     fn set(&mut self, name: &str, value: &str, secondary: bool) -> Result<(), String> {
@@ -261,7 +268,11 @@ pub fn write_views(
 }
 
 /// The `records` object of the statistics.
-pub fn statistics(report: &RecordsReport, rays: Option<SecondaryRays>) -> stats::Records {
+pub fn statistics(
+    report: &RecordsReport,
+    rays: Option<SecondaryRays>,
+    visibility: &VisibilityStats,
+) -> stats::Records {
     let steps = &report.steps;
     let per_step = steps.total().as_secs_f64() * 1e3 / steps.steps.max(1) as f64;
     stats::Records {
@@ -271,8 +282,11 @@ pub fn statistics(report: &RecordsReport, rays: Option<SecondaryRays>) -> stats:
         refinements: steps.placed,
         milliseconds_per_refinement: per_step,
         initial_seconds: report.initial.as_secs_f64(),
+        upkeep_seconds: report.upkeep.as_secs_f64(),
         refilled: report.refilled,
         rays_asked: rays.map(|rays| rays.asked),
         rays_traced: rays.map(|rays| rays.traced),
+        rays_unanswered: rays.map(|rays| rays.unanswered.into()),
+        unanswered: visibility.unanswered.into(),
     }
 }

@@ -531,8 +531,7 @@ impl Total {
         if let Some(before) = &total {
             sum.rays.primary += before.report.rays.primary;
             sum.rays.secondary += before.report.rays.secondary;
-            sum.secondary.asked += before.report.secondary.asked;
-            sum.secondary.traced += before.report.secondary.traced;
+            sum.secondary.add(&before.report.secondary);
             sum.visibility.add(&before.report.visibility);
         }
         Self {

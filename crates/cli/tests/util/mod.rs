@@ -177,3 +177,12 @@ pub fn scenes() -> Option<PathBuf> {
     );
     None
 }
+
+/// Sends a signal by its name, such as `INT`.
+#[cfg(unix)]
+pub fn signal(name: &str, process: u32) {
+    let status = Command::new("kill")
+        .args([&format!("-{name}"), &process.to_string()])
+        .status();
+    assert!(status.unwrap().success());
+}

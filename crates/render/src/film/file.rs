@@ -1,7 +1,7 @@
 //! Films as files: checkpoints and shards.
 //!
 //! Layout, little-endian: 8 bytes magic, `u64` length of a JSON header, the header, then radiance, squares, samples,
-//! features and splats as flat arrays. The header says which work the film belongs to (a fingerprint) and which samples it holds;
+//! features and splats as flat arrays, and what the caller keeps beside them. The header says which work the film belongs to (a fingerprint) and which samples it holds;
 //! who reads a film for another work gets an error, not a wrong picture.
 
 use super::splats::SplatSums;
@@ -34,18 +34,27 @@ struct Header<M> {
     #[serde(default)]
     splats: bool,
     dropped: u64,
+    /// Bytes behind the arrays.
+    #[serde(default)]
+    beside: u64,
     meta: M,
 }
 
 impl Film {
-    /// Writes the film with a header of the caller's.
-    pub fn write<M: Serialize>(&self, meta: &M, out: &mut impl Write) -> std::io::Result<()> {
+    /// Writes the film with a header of the caller's, and `beside` behind it.
+    pub fn write<M: Serialize>(
+        &self,
+        meta: &M,
+        beside: &[u8],
+        out: &mut impl Write,
+    ) -> std::io::Result<()> {
         let header = Header {
             width: self.width,
             height: self.height,
             features: self.has_features(),
             splats: self.has_splats(),
             dropped: self.dropped,
+            beside: beside.len() as u64,
             meta,
         };
         let header = serde_json::to_vec(&header)?;
@@ -61,14 +70,14 @@ impl Film {
         if let Some(splats) = &self.splats {
             out.write_all(bytemuck::cast_slice(splats))?;
         }
-        Ok(())
+        out.write_all(beside)
     }
 
-    /// Reads a film and its header. `available` is the number of bytes that the source holds: nothing larger is allocated.
+    /// Reads a film, its header, and what was written beside it. `available` is the number of bytes that the source holds: nothing larger is allocated.
     pub fn read<M: for<'a> Deserialize<'a>>(
         source: &mut impl Read,
         available: u64,
-    ) -> Result<(Self, M), FilmError> {
+    ) -> Result<(Self, M, Vec<u8>), FilmError> {
         let mut magic = [0; 8];
         source.read_exact(&mut magic)?;
         if magic != MAGIC {
@@ -91,6 +100,7 @@ impl Film {
         };
         if Film::bytes(header.width, header.height, header.features)
             .saturating_add(splat_bytes)
+            .saturating_add(header.beside)
             .saturating_add(length + 16)
             != available
         {
@@ -112,7 +122,9 @@ impl Film {
         if let Some(splats) = &mut film.splats {
             source.read_exact(bytemuck::cast_slice_mut::<SplatSums, u8>(splats))?;
         }
-        Ok((film, header.meta))
+        let mut beside = vec![0; header.beside as usize];
+        source.read_exact(&mut beside)?;
+        Ok((film, header.meta, beside))
     }
 }
 
@@ -137,10 +149,12 @@ mod tests {
             radiance: Vec3::new(2.0, 0.0, 1.5),
         });
         let mut bytes = Vec::new();
-        film.write(&"meta".to_string(), &mut bytes).unwrap();
-        let (read, meta): (Film, String) =
+        film.write(&"meta".to_string(), b"beside", &mut bytes)
+            .unwrap();
+        let (read, meta, beside): (Film, String, Vec<u8>) =
             Film::read(&mut bytes.as_slice(), bytes.len() as u64).unwrap();
         assert_eq!((&read, meta.as_str()), (&film, "meta"));
+        assert_eq!(beside, b"beside");
         for cut in 0..bytes.len() {
             assert!(Film::read::<String>(&mut &bytes[..cut], cut as u64).is_err());
         }

@@ -25,7 +25,9 @@ use occlude_visibility::records::{
     RecordsReport, Scout, SegmentAim, SegmentEnd,
 };
 use occlude_visibility::two_part::{Ball, TwoPartTracer};
-use occlude_visibility::{Endpoint, LightEnd, Query, Ray, Tracer, VisibilityStats};
+use occlude_visibility::{
+    Endpoint, LightEnd, Query, Ray, Reason, Tracer, Unanswered, VisibilityStats,
+};
 use std::f32::consts::FRAC_1_PI;
 
 /// Density per steradian of the sharpest directions that records are asked about: a lobe of so high a density is about 0.05 sr
@@ -122,6 +124,9 @@ impl Secondary {
         let Some(cache) = self.cache_mut() else {
             return;
         };
+        if cache.take_restored() {
+            return;
+        }
         let steps = if cache.is_empty() {
             cache.place_initial(geometry, scout);
             cache.settings().steps
@@ -134,8 +139,7 @@ impl Secondary {
 
     pub(super) fn pass_done(&mut self, geometry: &Geometry) {
         if let Some(cache) = self.cache_mut() {
-            cache.end_pass();
-            cache.refine_after(geometry, cache.settings().pace);
+            cache.pass_done(geometry);
         }
     }
 
@@ -164,7 +168,7 @@ struct Look {
 #[derive(Clone, Copy, Debug)]
 struct Asked {
     path: u32,
-    aim: Option<SegmentAim>,
+    aim: Result<SegmentAim, Reason>,
     query: Query,
     contribution: Vec3,
 }
@@ -181,6 +185,7 @@ pub(super) struct Scratch {
     queries: u64,
     answered: u64,
     traced: u64,
+    unanswered: Unanswered,
     pub(super) counts: SecondaryRays,
 }
 
@@ -191,6 +196,17 @@ pub struct SecondaryRays {
     pub asked: u64,
     /// Those among them that were traced after all.
     pub traced: u64,
+    /// Why; those apart that short rays in front of them led to.
+    pub unanswered: Unanswered,
+}
+
+impl SecondaryRays {
+    /// Adds the counters of another worker.
+    pub fn add(&mut self, other: &Self) {
+        self.asked += other.asked;
+        self.traced += other.traced;
+        self.unanswered.add(&other.unanswered);
+    }
 }
 
 impl Scratch {
@@ -200,6 +216,7 @@ impl Scratch {
             queries: self.queries,
             answered: self.answered,
             traced: self.traced,
+            unanswered: self.unanswered,
             ..VisibilityStats::default()
         }
     }
@@ -268,13 +285,14 @@ fn look(
     let direction = path.ray.direction;
     space.counts.asked += 1;
     match cache.aim(&mut space.reader, nearby, direction, random, weight) {
-        Some(aim) => space.next.push(Look {
+        Ok(aim) => space.next.push(Look {
             path: index,
             aim,
             position: path.ray.origin,
         }),
-        None => {
+        Err(reason) => {
             space.counts.traced += 1;
+            space.counts.unanswered.count(reason);
             scratch.alive.push(index);
         }
     }
@@ -322,8 +340,9 @@ fn arrive(
     let path = &mut scratch.paths[look.path as usize];
     let direction = path.ray.direction;
     let surface = match cache.look(&look.aim, texel, look.position, direction) {
-        RayAnswer::Unknown => {
+        RayAnswer::Unknown(reason) => {
             space.counts.traced += 1;
+            space.counts.unanswered.count(reason);
             return scratch.alive.push(look.path);
         }
         RayAnswer::Sky => {
@@ -439,26 +458,28 @@ fn settle(geometry: &Geometry, cache: &Cache, scratch: &mut path::Scratch, space
     for asked in space.asked.chunks(TOGETHER) {
         let mut texels = [0; TOGETHER];
         for (asked, texel) in asked.iter().zip(&mut texels) {
-            if let Some(segment) = &asked.aim {
+            if let Ok(segment) = &asked.aim {
                 *texel = cache.fetch(&segment.aim);
             }
         }
         for (asked, &texel) in asked.iter().zip(&texels) {
-            let answer = asked
-                .aim
-                .as_ref()
+            let answer = (asked.aim.as_ref())
+                .map_err(|&reason| reason)
                 .and_then(|segment| cache.sees(segment, texel));
-            let Some(seen) = answer else {
-                scratch.queries.push(asked.query);
-                scratch.pending.push(Pending {
-                    path: asked.path,
-                    contribution: asked.contribution,
-                });
-                continue;
+            let mut seen = match answer {
+                Ok(seen) => seen,
+                Err(reason) => {
+                    space.unanswered.count(reason);
+                    scratch.queries.push(asked.query);
+                    scratch.pending.push(Pending {
+                        path: asked.path,
+                        contribution: asked.contribution,
+                    });
+                    continue;
+                }
             };
             space.queries += 1;
-            let mut seen = seen;
-            if let (true, true, Some(segment)) = (near > 0.0, seen, &asked.aim) {
+            if let (true, true, Ok(segment)) = (near > 0.0, seen, &asked.aim) {
                 let ray = asked.query.ray;
                 let place = asked.query.eye.position;
                 let reach = near * cache.parallax(&segment.aim, place) / ray.direction.length();

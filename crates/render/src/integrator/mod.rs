@@ -28,6 +28,7 @@ use crate::light::{Emission, Lights, SkyLobes};
 use crate::sampling::{Sampler, SamplerKind};
 use glam::Vec2;
 use occlude_image::Picture;
+use occlude_visibility::records::{Cache, StateError};
 use occlude_visibility::{Epoch, Visibility, VisibilityStats};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -204,6 +205,28 @@ impl Layout {
     }
 }
 
+impl Layout {
+    /// Whether a film is what a finished pass left.
+    fn is_between_passes(&self, film: &Film) -> bool {
+        let done = film.min_samples();
+        let ends = done == self.first || done > 0 && done.is_multiple_of(self.together);
+        let mut rows = 0..film.height();
+        ends && rows.all(|y| (0..film.width()).all(|x| film.samples_at(x, y) == done))
+    }
+}
+
+/// The state of the records, those of `visibility` or those that show paths the way: between passes, or after an interrupted one. Empty
+/// without records. For [`Sequence::restore_records`].
+pub fn records_state<'a, V: Visibility<Geometry<'a>>>(
+    visibility: &V,
+    secondary: Option<&Secondary>,
+) -> Vec<u8> {
+    let shared = visibility.records().map(|records| records.cache());
+    let own = secondary.and_then(Secondary::cache);
+    own.or(shared.as_deref())
+        .map_or_else(Vec::new, Cache::state)
+}
+
 /// A rectangle of pixels and the samples that it takes next.
 struct Unit {
     /// Number of the tile in the picture.
@@ -213,6 +236,15 @@ struct Unit {
     width: u32,
     height: u32,
     samples: Range<u32>,
+}
+
+/// What there is while no sample is half done.
+#[derive(Clone, Copy, Debug)]
+pub struct AtRest<'r> {
+    /// All samples so far.
+    pub film: &'r Film,
+    /// Records that show paths the way, before they learn from the last pass.
+    pub secondary: Option<&'r Secondary>,
 }
 
 /// Renders until `settings` say stop, adding to what the film already holds: a picture of its own, see [`Sequence::render`].
@@ -226,7 +258,7 @@ pub fn render<'a, V: Visibility<Geometry<'a>>>(
     settings: &RenderSettings,
     film: &mut Film,
     job: &Job,
-    at_rest: &mut dyn FnMut(&Film),
+    at_rest: &mut dyn FnMut(&AtRest),
 ) -> RenderReport {
     let mut alone = Sequence::default();
     alone.render(world, view, visibility, settings, film, job, at_rest)
@@ -280,6 +312,34 @@ impl Sequence {
         }
     }
 
+    /// Makes records, those of `visibility` or those that show paths the way, what they were when [`records_state`] was taken beside `film`: with the same
+    /// settings in the same world the picture ends in the same bytes as if nothing had happened. To be called before [`Self::render`],
+    /// with new records.
+    pub fn restore_records<'a, V: Visibility<Geometry<'a>>>(
+        &mut self,
+        world: &World<'a>,
+        visibility: &V,
+        settings: &RenderSettings,
+        film: &Film,
+        state: &[u8],
+    ) -> Result<(), StateError> {
+        let mut shared = visibility.records().map(|records| records.cache_mut());
+        let own = self.secondary.as_mut().and_then(Secondary::cache_mut);
+        let Some(cache) = own.or(shared.as_deref_mut()) else {
+            return if state.is_empty() {
+                Ok(())
+            } else {
+                Err(StateError)
+            };
+        };
+        cache.restore(world.geometry, state)?;
+        // What a finished pass has asked was not taken over yet.
+        if Layout::of(settings).is_between_passes(film) {
+            cache.pass_done(world.geometry);
+        }
+        Ok(())
+    }
+
     /// To be called when surfaces or lights have moved since the last picture.
     pub fn world_moved(&mut self) {
         self.virtual_lights = None;
@@ -288,7 +348,7 @@ impl Sequence {
     /// Renders until `settings` say stop, adding to what the film already holds.
     ///
     /// The film must be empty or the result of an earlier, interrupted call with the same settings. `at_rest` is called now and
-    /// then while no sample is half done, with the film, for checkpoints and previews.
+    /// then while no sample is half done, for checkpoints and previews.
     ///
     /// # Panics
     /// If film and view differ in size.
@@ -300,7 +360,7 @@ impl Sequence {
         settings: &RenderSettings,
         film: &mut Film,
         job: &Job,
-        at_rest: &mut dyn FnMut(&Film),
+        at_rest: &mut dyn FnMut(&AtRest),
     ) -> RenderReport {
         assert_eq!((view.width(), view.height()), (film.width(), film.height()));
         let Geometry { scene, pose, .. } = *world.geometry;
@@ -460,7 +520,10 @@ impl Sequence {
                 stopped_by = StoppedBy::Cancel;
                 break;
             }
-            at_rest(film);
+            at_rest(&AtRest {
+                film,
+                secondary: self.secondary.as_ref(),
+            });
             visibility.pass_done(world.geometry);
             if let Some(secondary) = &mut self.secondary {
                 secondary.pass_done(world.geometry);
@@ -492,8 +555,7 @@ impl Sequence {
             rays.secondary += worker.rays.secondary;
             stats.add(&visibility.stats(&worker.visibility));
             stats.add(&worker.image_space.stats());
-            asked.asked += worker.image_space.counts.asked;
-            asked.traced += worker.image_space.counts.traced;
+            asked.add(&worker.image_space.counts);
         }
         RenderReport {
             stopped_by,

@@ -10,7 +10,7 @@ use occlude_render::camera::{PixelFilter, View};
 use occlude_render::film::Film;
 use occlude_render::geometry::Geometry;
 use occlude_render::integrator::{
-    Integrator, PathLimits, RenderReport, RenderSettings, World, render,
+    AtRest, Integrator, PathLimits, RenderReport, RenderSettings, World, render,
 };
 use occlude_render::job::Job;
 use occlude_render::light::{LightSelection, Lights};
@@ -78,7 +78,7 @@ pub fn film(scene: &Scene, setup: &Setup) -> (Film, RenderReport) {
         .build()
         .unwrap();
     let report = pool.install(|| {
-        let (film, job, done) = (&mut film, Job::new(), &mut |_: &Film| {});
+        let (film, job, done) = (&mut film, Job::new(), &mut |_: &AtRest| {});
         if setup.occluder {
             render(
                 &world,

@@ -66,6 +66,8 @@ pub struct RecordsReport {
     pub place_rays: u64,
     /// Time of the initial distribution.
     pub initial: Duration,
+    /// Time between passes: what was used is taken over, steps are taken, cells forget.
+    pub upkeep: Duration,
     /// Records thrown away because they stood inside something.
     pub blind: u64,
     /// Records traced again because something moved in front of them.
@@ -87,6 +89,18 @@ pub(super) struct Slot {
 }
 
 impl Slot {
+    /// Of a record whose neighbours are not known yet.
+    pub(super) fn new(map: Map, utility: f32) -> Self {
+        Self {
+            map,
+            links: [(NOBODY, 0.0); NEIGHBOURS],
+            d_max: 0.0,
+            agreement: [f32::NAN; NEIGHBOURS],
+            utility,
+            fresh: 2,
+        }
+    }
+
     pub(super) fn correlation(&self) -> f32 {
         let mut sum = 0.0;
         let mut count = 0.0;
@@ -112,8 +126,12 @@ pub struct Cache {
     pub(super) index: Index,
     /// Distance that initial records keep from each other.
     pub(super) spacing: f32,
+    /// Places of the last pilot batch that no record answers for; forgotten when the steps before a pass are done.
+    pub(super) unserved: Vec<Site>,
     cells: Cells,
     version: u64,
+    /// The records are those of an earlier run ([`Self::restore`]), and nobody has asked yet.
+    pub(super) restored: bool,
     pub(super) random: Random,
     pub(super) report: RecordsReport,
 }
@@ -131,8 +149,10 @@ impl Cache {
             uses: Vec::new(),
             index: Index::default(),
             spacing: diameter,
+            unserved: Vec::new(),
             cells: Cells::new(settings.capacity),
             version: 0,
+            restored: false,
             random: Random(settings.seed ^ 0x7265_636f_7264_7321),
             report: RecordsReport {
                 capacity: settings.capacity,
@@ -166,6 +186,11 @@ impl Cache {
             peak_bytes: self.report.peak_bytes.max(bytes),
             ..self.report
         }
+    }
+
+    /// Whether the records are those of an earlier run ([`Self::restore`]), ready for questions; true once alone.
+    pub fn take_restored(&mut self) -> bool {
+        std::mem::take(&mut self.restored)
     }
 
     pub(super) fn map(&self, id: u32) -> &Map {
@@ -216,9 +241,9 @@ impl Cache {
         self.uses[id as usize].fetch_add(uses, Relaxed);
     }
 
-    pub(super) fn changed(&mut self, id: u32, removed: bool, added: Option<Vec3>) {
+    pub(super) fn changed(&mut self, removed: Option<Vec3>, added: Option<Vec3>) {
         self.version += 1;
-        self.cells.changed(Change { id, removed, added });
+        self.cells.changed(Change { removed, added });
     }
 
     /// Forgets what cells know of records that have gone. Else finding records takes far longer.
@@ -226,7 +251,7 @@ impl Cache {
         self.cells.freshen();
     }
 
-    fn changed_altogether(&mut self) {
+    pub(super) fn changed_altogether(&mut self) {
         self.version += 1;
         self.cells.clear(self.cell());
     }
@@ -284,7 +309,7 @@ impl Cache {
                 self.report.blind += 1;
                 continue;
             }
-            self.push(stand, map, 1.0);
+            self.push(stand, Slot::new(map, 1.0));
         }
         self.changed_altogether();
         for id in 0..self.len() as u32 {
@@ -301,18 +326,11 @@ impl Cache {
         0.02 * self.spacing
     }
 
-    pub(super) fn push(&mut self, stand: Stand, map: Map, utility: f32) {
+    pub(super) fn push(&mut self, stand: Stand, slot: Slot) {
         let id = self.len() as u32;
         self.index.insert(id, stand.site.position);
         self.stands.push(stand);
-        self.slots.push(Slot {
-            map,
-            links: [(NOBODY, 0.0); NEIGHBOURS],
-            d_max: 0.0,
-            agreement: [0.0; NEIGHBOURS],
-            utility,
-            fresh: 2,
-        });
+        self.slots.push(slot);
         self.uses.push(AtomicU64::new(0));
         let bytes = self.len() as u64 * self.settings.record_bytes();
         self.report.peak_bytes = self.report.peak_bytes.max(bytes);
@@ -372,8 +390,12 @@ impl Cache {
     /// Use by places that stand for the questions to come.
     pub fn pilot(&mut self, sites: &[PathSite]) {
         self.freshen();
+        self.unserved.clear();
         for place in sites {
             let choice = self.choose(place.site.position, place.site.normal);
+            if choice.ids[0] == NOBODY {
+                self.unserved.push(place.site);
+            }
             for (&id, weight) in choice.ids.iter().zip(choice.weights) {
                 if id != NOBODY {
                     let uses = place.weight * weight * WHOLE_USE as f32;

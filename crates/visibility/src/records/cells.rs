@@ -57,7 +57,8 @@ type Key = (IVec3, u32);
 struct Near {
     key: Key,
     ids: [u16; REMEMBERED],
-    /// Farthest of them from the cell's middle; infinite if there are no more.
+    /// Farthest from the cell's middle of those that were looked at; infinite if there are no more. What is farther away makes no
+    /// difference to the cell.
     reach: f32,
     /// `d_max` of Eq. 2.
     d_max: f32,
@@ -71,9 +72,8 @@ struct Slot(OnceLock<Near>);
 /// A change of the records.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Change {
-    pub(super) id: u32,
-    /// A record of this number has been taken away.
-    pub(super) removed: bool,
+    /// Where a record has been taken away.
+    pub(super) removed: Option<Vec3>,
     /// Where one has been added.
     pub(super) added: Option<Vec3>,
 }
@@ -123,11 +123,8 @@ impl Cells {
                 continue;
             };
             let middle = (near.key.0.as_vec3() + 0.5) * self.width;
-            let concerns = |change: &Change| {
-                change.removed && near.ids.contains(&(change.id as u16))
-                    || (change.added).is_some_and(|place| place.distance(middle) <= near.reach)
-            };
-            if self.pending.iter().any(concerns) {
+            let mut places = (self.pending.iter()).flat_map(|c| c.removed.iter().chain(&c.added));
+            if places.any(|place| place.distance(middle) <= near.reach) {
                 slot.0.take();
             }
         }
@@ -215,15 +212,16 @@ fn look_around(index: &Index, stands: &[Stand], width: f32, key: Key) -> Near {
         d_max: 0.0,
     };
     let mut count = 0;
-    let mut farthest = 0.0;
+    let (mut farthest, mut looked_at) = (0.0, 0.0f32);
     for (visited, (id, distance)) in index.nearest(middle).enumerate() {
+        looked_at = looked_at.max(distance);
         if serves(key.1, stands[id as usize].site.normal) {
             near.ids[count] = id as u16;
             farthest = distance;
             count += 1;
         }
         if count == REMEMBERED || visited + 1 == VISITED {
-            near.reach = distance;
+            near.reach = looked_at;
             break;
         }
     }

@@ -12,7 +12,8 @@ use super::neighbours::NOBODY;
 use super::rays::SegmentEnd;
 use super::settings::{Lookup, RecordGuarantee, Select};
 use crate::{
-    BLOCK, Correction, EyeSample, LightEnd, ManyLights, Ray, SharedLight, Tracer, VisibilityStats,
+    BLOCK, Correction, EyeSample, LightEnd, ManyLights, Ray, Reason, SharedLight, Tracer,
+    VisibilityStats,
 };
 use glam::Vec3;
 
@@ -43,9 +44,9 @@ pub(super) struct Scratch {
     guesses: Vec<f32>,
 }
 
-/// A number from the bits of a question, for checks.
-fn chance(eye: &EyeSample, light: &SharedLight, salt: u64) -> f32 {
-    let mut h = salt;
+/// A number from the bits of a question, for checks: the same whichever pass of whichever part of the work asks.
+fn chance(eye: &EyeSample, light: &SharedLight) -> f32 {
+    let mut h = 0u64;
     let target = light.target.unwrap_or_default();
     for word in eye.origin.to_array().into_iter().chain(target.to_array()) {
         h = (h ^ u64::from(word.to_bits())).wrapping_mul(0x9e37_79b9_7f4a_7c15);
@@ -55,7 +56,7 @@ fn chance(eye: &EyeSample, light: &SharedLight, salt: u64) -> f32 {
     ((h ^ (h >> 31)) >> 40) as f32 / (1u64 << 24) as f32
 }
 
-/// Answers about lights on surfaces; `epoch` tells checks apart.
+/// Answers about lights on surfaces.
 pub(super) fn answer<T: Tracer>(
     cache: &Cache,
     tracer: &T,
@@ -64,7 +65,6 @@ pub(super) fn answer<T: Tracer>(
     eyes: &[EyeSample],
     lights: &[SharedLight],
     asker: &mut dyn ManyLights,
-    epoch: u64,
 ) {
     scratch.packs.clear();
     for eyes in eyes.chunks(WIDE) {
@@ -181,7 +181,11 @@ pub(super) fn answer<T: Tracer>(
                     let k = rest.trailing_zeros() as usize;
                     rest &= rest - 1;
                     let (mut sum, mut sight) = (0.0, 0.0);
-                    if known & 1 << k != 0 {
+                    if known & 1 << k == 0 {
+                        let eye = eyes[p * WIDE + k].end.position;
+                        let reason = silent(cache, &choice, (place, reach2), eye);
+                        stats.unanswered.count(reason);
+                    } else {
                         for (verdicts, w) in scratch.verdicts.iter().zip(choice.weights) {
                             let bit = |set: u16| f32::from(set >> k & 1);
                             sum += w * bit(verdicts[p].known);
@@ -195,7 +199,7 @@ pub(super) fn answer<T: Tracer>(
                 }
             }
             settle(
-                cache, tracer, scratch, stats, eyes, light, l as u32, &choice, epoch,
+                cache, tracer, scratch, stats, eyes, light, l as u32, &choice,
             );
         }
         for seen in &mut scratch.seen[lights.len()..] {
@@ -220,6 +224,25 @@ fn contact_reach(cache: &Cache, choice: &Choice, light: Vec3) -> f32 {
         }
     }
     cache.contact_reach(parallax)
+}
+
+/// Why the records of a light do not know whether an eye sees it: the light's place, and the square of how near to it they have nothing to
+/// say.
+fn silent(cache: &Cache, choice: &Choice, (light, reach2): (Vec3, f32), eye: Vec3) -> Reason {
+    let records = || choice.ids.iter().filter(|&&id| id != NOBODY);
+    let above = |&id: &u32| {
+        let stand = &cache.stands[id as usize];
+        stand.frame.z_axis.dot(eye - stand.site.position) > 0.0
+    };
+    if records().next().is_none() {
+        Reason::NoRecord
+    } else if eye.distance_squared(light) < reach2 {
+        Reason::TooNear
+    } else if records().any(above) {
+        Reason::Unknown
+    } else {
+        Reason::BelowHorizon
+    }
 }
 
 /// What a record says about the eyes that ask.
@@ -275,7 +298,6 @@ fn settle<T: Tracer>(
     light: &SharedLight,
     l: u32,
     choice: &Choice,
-    epoch: u64,
 ) {
     let near = cache.settings.near;
     let unbiased = cache.settings.guarantee == RecordGuarantee::Unbiased;
@@ -289,7 +311,7 @@ fn settle<T: Tracer>(
         }
     };
     let checked = |guess: f32, e: u32| match unbiased {
-        true => check(guess, chance(&eyes[e as usize], light, epoch)),
+        true => check(guess, chance(&eyes[e as usize], light)),
         false => (guess < 0.0).then_some(1.0),
     };
     scratch.rays.clear();

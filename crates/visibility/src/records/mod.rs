@@ -17,6 +17,7 @@
 
 mod cache;
 mod cells;
+mod correlation;
 mod kernel;
 mod many;
 mod map;
@@ -25,6 +26,7 @@ mod paraboloid;
 mod rays;
 mod refine;
 mod settings;
+mod state;
 mod views;
 
 pub use cache::{Cache, PathSite, RecordsReport, Scout, WHOLE_USE};
@@ -32,12 +34,13 @@ pub use map::{DistanceTracer, Seen, Site};
 pub use rays::{Aim, CachedSurface, Nearby, RayAnswer, RecordsReader, SegmentAim, SegmentEnd};
 pub use refine::StepTimes;
 pub use settings::{Falloff, Lookup, RecordGuarantee, RecordSettings, RecordsError, Select};
+pub use state::StateError;
 pub use views::RecordView;
 
 use crate::two_part::Ball;
 use crate::{
-    Class, Epoch, Exact, ExactWorker, EyeSample, LightEnd, ManyLights, Query, SharedLight,
-    Visibility, VisibilityStats,
+    Class, Exact, ExactWorker, EyeSample, LightEnd, ManyLights, Query, SharedLight, Visibility,
+    VisibilityStats,
 };
 use std::sync::{PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
@@ -48,7 +51,6 @@ use std::sync::{PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 #[derive(Debug)]
 pub struct Records {
     cache: RwLock<Cache>,
-    pace: u32,
 }
 
 /// Memory, scratch space and counters of one worker of [`Records`].
@@ -57,16 +59,13 @@ pub struct RecordsWorker {
     exact: ExactWorker,
     scratch: many::Scratch,
     stats: VisibilityStats,
-    epoch: u64,
 }
 
 impl Records {
     /// A cache without records yet: [`Visibility::prepare`] places them.
     pub fn new(settings: RecordSettings) -> Result<Self, RecordsError> {
-        let pace = settings.pace;
         Cache::new(settings).map(|cache| Self {
             cache: RwLock::new(cache),
-            pace,
         })
     }
 
@@ -99,10 +98,6 @@ impl<T: DistanceTracer> Visibility<T> for Records {
         RecordsWorker::default()
     }
 
-    fn begin(&self, worker: &mut RecordsWorker, epoch: Epoch) {
-        worker.epoch = u64::from(epoch.pass) << 32 | u64::from(epoch.tile);
-    }
-
     fn answer(
         &self,
         tracer: &T,
@@ -126,17 +121,15 @@ impl<T: DistanceTracer> Visibility<T> for Records {
         if cache.is_empty() || eyes.is_empty() || !lights.iter().all(on_surface) {
             return Exact.answer_many(tracer, &mut worker.exact, eyes, lights, asker);
         }
-        let RecordsWorker {
-            scratch,
-            stats,
-            epoch,
-            ..
-        } = worker;
-        many::answer(&cache, tracer, scratch, stats, eyes, lights, asker, *epoch);
+        let RecordsWorker { scratch, stats, .. } = worker;
+        many::answer(&cache, tracer, scratch, stats, eyes, lights, asker);
     }
 
     fn prepare(&self, tracer: &T, lights: &[SharedLight], scout: &mut dyn Scout) {
         let mut cache = self.cache_mut();
+        if cache.take_restored() {
+            return;
+        }
         let steps = if cache.is_empty() {
             cache.place_initial(tracer, scout);
             cache.settings().steps
@@ -164,9 +157,7 @@ impl<T: DistanceTracer> Visibility<T> for Records {
     }
 
     fn pass_done(&self, tracer: &T) {
-        let mut cache = self.cache_mut();
-        cache.end_pass();
-        cache.refine_after(tracer, self.pace);
+        self.cache_mut().pass_done(tracer);
     }
 
     fn stats(&self, worker: &RecordsWorker) -> VisibilityStats {

@@ -70,13 +70,34 @@ impl Index {
         self.tree.remove(&Leaf::new(position.to_array(), id));
     }
 
-    /// Records from the nearest on: number and distance.
+    /// Records from the nearest on: number and distance. Those at the same distance come in the order of their numbers: so nothing depends
+    /// on the order in which they entered the tree.
     pub(super) fn nearest(&self, position: Vec3) -> impl Iterator<Item = (u32, f32)> + '_ {
-        let point = position.to_array();
-        let tree = self.tree.nearest_neighbor_iter(point);
-        tree.map(move |leaf| {
+        let found = self
+            .tree
+            .nearest_neighbor_iter_with_distance_2(position.to_array());
+        let mut found = found.peekable();
+        let entry = move |leaf: &Leaf| {
             let there = Vec3::from_array(*leaf.geom());
             (leaf.data, there.distance(position))
+        };
+        // The last number first.
+        let mut alike: Vec<(u32, f32)> = Vec::new();
+        std::iter::from_fn(move || {
+            if let Some(next) = alike.pop() {
+                return Some(next);
+            }
+            let (first, distance2) = found.next()?;
+            let first = entry(first);
+            if found.peek().is_none_or(|next| next.1 != distance2) {
+                return Some(first);
+            }
+            alike.push(first);
+            while let Some((leaf, _)) = found.next_if(|next| next.1 == distance2) {
+                alike.push(entry(leaf));
+            }
+            alike.sort_unstable_by_key(|entry| std::cmp::Reverse(entry.0));
+            alike.pop()
         })
     }
 

@@ -62,11 +62,17 @@ impl Scale {
 pub(super) struct Layout {
     pub(super) resolution: u32,
     pub(super) scale: Scale,
-    /// The texels that see something, in an order in which eight neighbours stand together, and their directions.
+    /// The texels that see something, in squares of 16x16 and in these eight neighbours together, and their directions.
     pub(super) texels: Vec<u32>,
     pub(super) directions: Vec<Vec3>,
-    /// Texels spread evenly over the hemisphere, and their directions.
-    pub(super) probes: Vec<(u32, Vec3)>,
+    pub(super) probes: Box<Probes>,
+}
+
+/// Texels spread evenly over the hemisphere, in the order in which they lie in memory, and the x, y and z of their directions.
+#[derive(Clone, Debug)]
+pub(super) struct Probes {
+    pub(super) texels: [u32; PROBES],
+    pub(super) directions: [[f32; PROBES]; 3],
 }
 
 /// The direction of a place in the disk.
@@ -83,9 +89,15 @@ impl Layout {
             scale: Scale::new(diameter),
             texels: Vec::new(),
             directions: Vec::new(),
-            probes: Vec::new(),
+            probes: Box::new(Probes {
+                texels: [0; PROBES],
+                directions: [[0.0; PROBES]; 3],
+            }),
         };
+        // Rays of a square run alike: it meets the same nodes and triangles.
         let blocks = (0..resolution / 2).flat_map(|y| (0..resolution / 4).map(move |x| (x, y)));
+        let mut blocks: Vec<(u32, u32)> = blocks.collect();
+        blocks.sort_by_key(|(x, y)| (y / 8, x / 4, y % 8 / 4, x % 4 / 2, y % 4 / 2, x % 2, y % 2));
         for (block_x, block_y) in blocks {
             for k in 0..8 {
                 let (x, y) = (4 * block_x + k % 4, 2 * block_y + k / 4);
@@ -103,23 +115,20 @@ impl Layout {
         }
         // A spiral with heights at equal steps: even in solid angle.
         let golden = std::f32::consts::PI * (3.0 - 5.0f32.sqrt());
-        for i in 0..PROBES {
+        let wanted = (0..PROBES).map(|i| {
             let z = (i as f32 + 0.5) / PROBES as f32;
             let r = (1.0 - z * z).sqrt();
             let (sin, cos) = (i as f32 * golden).sin_cos();
-            let wanted = Vec3::new(r * cos, r * sin, z);
-            let texel = layout.texel(wanted.x, wanted.y, 1.0 + wanted.z);
-            let (x, y) = (texel % resolution, texel / resolution);
-            let at = |i: u32| 2.0 * (i as f32 + 0.5) / size - 1.0;
-            // Of the texel's own middle: what the map has traced.
-            let (s, t) = (at(x), at(y));
-            let inward = ((1.0 - 0.5 / size) / (s * s + t * t).sqrt()).min(1.0);
-            layout
-                .probes
-                .push((texel, direction(s * inward, t * inward)));
+            layout.texel(r * cos, r * sin, 1.0 + z)
+        });
+        let mut texels: Vec<u32> = wanted.collect();
+        texels.sort_unstable();
+        for (k, &texel) in texels.iter().enumerate() {
+            layout.probes.texels[k] = texel;
+            for (c, of) in layout.middle(texel).to_array().into_iter().enumerate() {
+                layout.probes.directions[c][k] = of;
+            }
         }
-        // Two maps are read side by side: in the order in which they lie in memory.
-        layout.probes.sort_by_key(|(texel, _)| *texel);
         layout
     }
 
@@ -133,6 +142,15 @@ impl Layout {
         let column = (x * scale + half).max(0.0).min(last) as u32;
         let row = (y * scale + half).max(0.0).min(last) as u32;
         row * self.resolution + column
+    }
+
+    /// The direction that the map has traced for a texel: of its middle, or just above the horizon.
+    pub(super) fn middle(&self, texel: u32) -> Vec3 {
+        let size = self.resolution as f32;
+        let at = |i: u32| 2.0 * (i as f32 + 0.5) / size - 1.0;
+        let (s, t) = (at(texel % self.resolution), at(texel / self.resolution));
+        let inward = ((1.0 - 0.5 / size) / (s * s + t * t).sqrt()).min(1.0);
+        direction(s * inward, t * inward)
     }
 
     /// How much a surface at `p` with this normal, both in the record's frame, faces the direction of a texel's middle: a dot product, as
@@ -194,12 +212,7 @@ mod tests {
                 |a: u32, b: u32| (a % 64).abs_diff(b % 64) <= 1 && (a / 64).abs_diff(b / 64) <= 1;
             assert!(found == texel || d.z < 0.05 && apart(found, texel));
         }
-        assert_eq!(layout.probes.len(), PROBES);
-        assert!(
-            layout
-                .probes
-                .iter()
-                .all(|(texel, _)| layout.texels.contains(texel))
-        );
+        let probes = &layout.probes.texels;
+        assert!(probes.iter().all(|texel| layout.texels.contains(texel)));
     }
 }

@@ -1,7 +1,8 @@
 //! What a place sees along a direction, and whether it sees another place: single questions, as paths ask them.
 //!
 //! Snapping takes the question to a record: a ray starts there, with its own direction; a segment starts there and ends where it ended.
-//! With planes, the true ray is cut with the plane of what the record sees along its direction.
+//! With planes, the true ray is cut with the plane of what the record sees along its direction, if the record sees that plane where the ray
+//! is cut, too.
 //! Marching follows the true ray and asks the record about points on it: the first that lies behind what the record sees is a hit
 //! (Ulbrich 2013, section 6).
 
@@ -11,6 +12,7 @@ use super::map::{Map, Texel};
 use super::neighbours::NOBODY;
 use super::paraboloid::{SKY, UNKNOWN};
 use super::settings::{Lookup, Select};
+use crate::Reason;
 use glam::Vec3;
 
 /// Points at which a marching ray is tested.
@@ -29,6 +31,12 @@ const MOST_SLANT: f32 = 6.0;
 /// record's own. Else the record has nothing to say.
 const FLATTEST: f32 = 0.05;
 const STRETCH: std::ops::Range<f32> = 0.6..1.5;
+
+/// Texels whose planes a ray is cut with before the record has nothing to say.
+const LOOKS: usize = 3;
+
+/// How far a plane leads astray because its normal is rounded, a unit of length.
+const ROUNDED: f32 = 0.02;
 
 /// How uneven a surface may be within a texel, in footprints: against shadows of surfaces on themselves.
 const UNEVEN: f32 = 0.1;
@@ -54,7 +62,7 @@ pub enum RayAnswer {
     /// Nothing: the ray leaves the scene.
     Sky,
     /// No record knows, or what is seen cannot be kept: trace the ray.
-    Unknown,
+    Unknown(Reason),
 }
 
 /// Where a segment ends.
@@ -99,6 +107,15 @@ impl Nearby {
     pub fn is_empty(&self) -> bool {
         self.0.ids[0] == NOBODY
     }
+
+    /// Why none of them has a say.
+    fn silent(&self) -> Reason {
+        if self.is_empty() {
+            Reason::NoRecord
+        } else {
+            Reason::BelowHorizon
+        }
+    }
 }
 
 impl Cache {
@@ -123,7 +140,7 @@ impl Cache {
     }
 
     /// The record that a ray question along a unit vector goes to: `random` (0 to 1) chooses among three. Its use counts `weight`.
-    /// `None`: nobody knows.
+    /// An error: nobody knows.
     pub fn aim(
         &self,
         reader: &mut RecordsReader,
@@ -131,14 +148,14 @@ impl Cache {
         direction: Vec3,
         random: f32,
         weight: f32,
-    ) -> Option<Aim> {
+    ) -> Result<Aim, Reason> {
         // Directions below a record's horizon are not its business.
         let valid = |id: u32| self.stands[id as usize].frame.z_axis.dot(direction) > 0.0;
-        let id = pick(&nearby.0, self.settings.select, random, valid)?;
+        let id = pick(&nearby.0, self.settings.select, random, valid).ok_or(nearby.silent())?;
         reader.uses[id as usize] += (weight * WHOLE_USE as f32) as u64;
         let d = self.stands[id as usize].local(direction);
         let texel = self.layout.texel(d.x, d.y, 1.0 + d.z);
-        Some(Aim { id, texel })
+        Ok(Aim { id, texel })
     }
 
     /// As [`Self::aim`], for the question whether a place at `from` sees an end.
@@ -150,7 +167,7 @@ impl Cache {
         end: SegmentEnd,
         random: f32,
         weight: f32,
-    ) -> Option<SegmentAim> {
+    ) -> Result<SegmentAim, Reason> {
         let offset = |id: u32| match end {
             SegmentEnd::Direction(direction) => direction,
             SegmentEnd::Point(point) | SegmentEnd::Surface(point, _) => {
@@ -158,12 +175,12 @@ impl Cache {
             }
         };
         let valid = |id: u32| self.stands[id as usize].frame.z_axis.dot(offset(id)) > 0.0;
-        let id = pick(&nearby.0, self.settings.select, random, valid)?;
+        let id = pick(&nearby.0, self.settings.select, random, valid).ok_or(nearby.silent())?;
         reader.uses[id as usize] += (weight * WHOLE_USE as f32) as u64;
         let p = self.stands[id as usize].local(offset(id));
         let texel = self.layout.texel(p.x, p.y, p.length() + p.z);
         let aim = Aim { id, texel };
-        Some(SegmentAim { aim, from, end })
+        Ok(SegmentAim { aim, from, end })
     }
 
     /// The texel aimed at.
@@ -187,72 +204,131 @@ impl Cache {
     pub fn look(&self, aim: &Aim, texel: u64, position: Vec3, direction: Vec3) -> RayAnswer {
         let stand = &self.stands[aim.id as usize];
         let texel = Texel(texel);
-        let height = stand.frame.z_axis.dot(direction).max(0.0);
-        let surface = |texel: Texel, position: Vec3, distance: f32| {
-            if texel.trace() {
-                return RayAnswer::Unknown;
-            }
-            let normal = texel.normal();
-            RayAnswer::Surface(CachedSurface {
-                position,
-                // Rounded normals must not turn away from who sees them.
-                normal: if normal.dot(direction) < -0.01 {
-                    normal
-                } else {
-                    (normal - direction * (normal.dot(direction) + 0.02)).normalize()
-                },
-                albedo: texel.albedo(),
-                footprint: self.layout.width() * distance * (1.0 + height),
-            })
-        };
         if self.settings.lookup == Lookup::March {
             return match self.march(aim.id, position, direction) {
-                None => RayAnswer::Unknown,
-                Some((_, SKY, _)) => RayAnswer::Sky,
-                Some((at, _, hit)) => match self.map(aim.id) {
+                Err(reason) => RayAnswer::Unknown(reason),
+                Ok((_, SKY, _)) => RayAnswer::Sky,
+                Ok((at, _, hit)) => match self.map(aim.id) {
                     Map::Surfaces(texels) => {
-                        surface(texels[at as usize], hit, hit.distance(position))
+                        let distance = hit.distance(position);
+                        self.surface(aim.id, texels[at as usize], hit, distance, direction)
                     }
-                    Map::Distances(_) => RayAnswer::Unknown,
+                    Map::Distances(_) => RayAnswer::Unknown(Reason::Unknown),
                 },
             };
         }
         match texel.code() {
-            UNKNOWN => RayAnswer::Unknown,
+            UNKNOWN => RayAnswer::Unknown(Reason::Unknown),
             SKY => RayAnswer::Sky,
             code => {
                 let distance = self.layout.scale.decode(code);
                 let contact = self.settings.contact;
                 let parallax = stand.site.position.distance(position);
-                let seen = stand.site.position + direction * distance;
-                let snapped = || {
-                    if distance < 0.25 * contact * parallax {
-                        RayAnswer::Unknown
-                    } else {
-                        surface(texel, seen, distance)
-                    }
-                };
-                if self.settings.lookup == Lookup::Snap {
-                    return snapped();
+                let planes = self.settings.lookup == Lookup::Plane;
+                let least = if planes { 0.125 } else { 0.25 } * contact * parallax;
+                if distance < least {
+                    return RayAnswer::Unknown(Reason::TooNear);
                 }
-                let normal = texel.normal();
-                let facing = normal.dot(direction);
-                let along = normal.dot(seen - position) / facing;
-                let goes_on = facing < -FLATTEST && STRETCH.contains(&(along / distance));
-                if goes_on && distance >= 0.125 * contact * parallax {
-                    surface(texel, position + direction * along, along)
-                } else if contact > 0.0 {
-                    RayAnswer::Unknown
-                } else {
-                    snapped()
+                let found = planes.then(|| self.cut(aim, texel, position, direction));
+                match found.flatten() {
+                    Some((texel, along)) => {
+                        let at = position + direction * along;
+                        self.surface(aim.id, texel, at, along, direction)
+                    }
+                    None if planes && contact > 0.0 => RayAnswer::Unknown(Reason::Unknown),
+                    None => {
+                        let seen = stand.site.position + direction * distance;
+                        self.surface(aim.id, texel, seen, distance, direction)
+                    }
                 }
             }
         }
     }
 
+    /// What a texel keeps of a surface at `position`, seen at a distance along a unit vector.
+    fn surface(
+        &self,
+        id: u32,
+        texel: Texel,
+        position: Vec3,
+        distance: f32,
+        direction: Vec3,
+    ) -> RayAnswer {
+        if texel.trace() {
+            return RayAnswer::Unknown(Reason::Unknown);
+        }
+        let height = self.stands[id as usize].frame.z_axis.dot(direction);
+        let normal = texel.normal();
+        RayAnswer::Surface(CachedSurface {
+            position,
+            // Rounded normals must not turn away from who sees them.
+            normal: if normal.dot(direction) < -0.01 {
+                normal
+            } else {
+                (normal - direction * (normal.dot(direction) + 0.02)).normalize()
+            },
+            albedo: texel.albedo(),
+            footprint: self.layout.width() * distance * (1.0 + height.max(0.0)),
+        })
+    }
+
+    /// Cuts a ray with the plane of what a texel sees, and looks at the record again, in the direction of the point found there: if the
+    /// record sees that plane there, too, the ray meets it; else the plane of what it does see there is next. The texel seen last, and
+    /// the distance along the ray; `None`: no plane is confirmed, or it is met far from where the record meets it.
+    fn cut(
+        &self,
+        aim: &Aim,
+        first: Texel,
+        position: Vec3,
+        direction: Vec3,
+    ) -> Option<(Texel, f32)> {
+        let Map::Surfaces(texels) = self.map(aim.id) else {
+            return None;
+        };
+        let stand = &self.stands[aim.id as usize];
+        // Of the plane that a texel sees: a point, how far away that is, and the normal.
+        let plane = |at: u32, texel: Texel| {
+            let distance = self.layout.scale.decode(texel.code());
+            let middle = stand.frame * self.layout.middle(at);
+            let seen = stand.site.position + middle * distance;
+            (seen, distance, texel.normal())
+        };
+        let (mut at, mut texel) = (aim.texel, first);
+        for _ in 0..LOOKS {
+            let (seen, distance, normal) = plane(at, texel);
+            let facing = normal.dot(direction);
+            let along = normal.dot(seen - position) / facing;
+            if facing > -FLATTEST || !STRETCH.contains(&(along / distance)) {
+                return None;
+            }
+            let found = position + direction * along;
+            let p = stand.local(found - stand.site.position);
+            if p.z <= 0.0 {
+                return None;
+            }
+            let length = p.length();
+            let next = self.layout.texel(p.x, p.y, length + p.z);
+            if next == at {
+                return Some((texel, along));
+            }
+            let other = texels[next as usize];
+            if matches!(other.code(), UNKNOWN | SKY) {
+                return None;
+            }
+            let (there, _, facing) = plane(next, other);
+            let footprint = self.layout.width() * (length + p.z);
+            let uneven = HALF_DIAGONAL * footprint + ROUNDED * found.distance(seen);
+            if facing.dot(found - there).abs() <= uneven && facing.dot(direction) < 0.0 {
+                return Some((other, along));
+            }
+            (at, texel) = (next, other);
+        }
+        None
+    }
+
     /// Follows a ray: the texel where it goes behind what the record sees, its code, and the point of the ray there. The code is
-    /// [`SKY`] if the ray leaves the scene; `None`: it leaves what the record knows.
-    fn march(&self, id: u32, position: Vec3, direction: Vec3) -> Option<(u32, u16, Vec3)> {
+    /// [`SKY`] if the ray leaves the scene; an error: it leaves what the record knows.
+    fn march(&self, id: u32, position: Vec3, direction: Vec3) -> Result<(u32, u16, Vec3), Reason> {
         let stand = &self.stands[id as usize];
         let (start, d) = (
             stand.local(position - stand.site.position),
@@ -275,7 +351,7 @@ impl Cache {
         for _ in 0..MARCH {
             let p = start + d * reach;
             if p.z <= 0.0 {
-                return None;
+                return Err(Reason::BelowHorizon);
             }
             if behind(p) {
                 let mut to = reach;
@@ -288,13 +364,13 @@ impl Cache {
                     }
                 }
                 let at = texel(start + d * to);
-                return Some((at, self.map(id).code(at), position + direction * to));
+                return Ok((at, self.map(id).code(at), position + direction * to));
             }
             from = reach;
             reach = (reach + first) * growth - first;
         }
         let at = texel(start + d * far);
-        Some((at, self.map(id).code(at), position + direction * far))
+        Ok((at, self.map(id).code(at), position + direction * far))
     }
 
     /// Whether a place at `from` sees the end of a segment, by its records together: from 0 to 1, `None` if nobody knows.
@@ -336,18 +412,23 @@ impl Cache {
         let texel = self.layout.texel(p.x, p.y, p.length() + p.z);
         let aim = Aim { id, texel };
         let code = u64::from(self.map(id).code(texel));
-        self.sees(&SegmentAim { aim, from, end }, code)
+        self.sees(&SegmentAim { aim, from, end }, code).ok()
     }
 
-    /// Whether the segment's end is seen, by the record and texel found before; `None` if the record does not know.
-    pub fn sees(&self, segment: &SegmentAim, texel: u64) -> Option<bool> {
+    /// Whether the segment's end is seen, by the record and texel found before; an error if the record does not know.
+    pub fn sees(&self, segment: &SegmentAim, texel: u64) -> Result<bool, Reason> {
         let id = segment.aim.id;
         let code = Texel(texel).code();
         let stand = &self.stands[id as usize];
         let (point, normal) = match segment.end {
             SegmentEnd::Direction(direction) => {
-                let above = stand.frame.z_axis.dot(direction) > 0.0;
-                return (above && code != UNKNOWN).then_some(code == SKY);
+                if stand.frame.z_axis.dot(direction) <= 0.0 {
+                    return Err(Reason::BelowHorizon);
+                }
+                return match code {
+                    UNKNOWN => Err(Reason::Unknown),
+                    code => Ok(code == SKY),
+                };
             }
             SegmentEnd::Point(point) => (point, None),
             SegmentEnd::Surface(point, normal) => (point, Some(normal)),
@@ -358,13 +439,18 @@ impl Cache {
         let offset = point - stand.site.position;
         let z = stand.frame.z_axis.dot(offset);
         let parallax = stand.site.position.distance(segment.from);
-        let near = offset.length() < self.contact_reach(parallax);
-        if z <= 0.0 || code == UNKNOWN || near {
-            return None;
+        if offset.length() < self.contact_reach(parallax) {
+            return Err(Reason::TooNear);
+        }
+        if z <= 0.0 {
+            return Err(Reason::BelowHorizon);
+        }
+        if code == UNKNOWN {
+            return Err(Reason::Unknown);
         }
         let (length, width) = (offset.length(), self.layout.width());
         let held = self.layout.scale.decode(code);
-        Some(match normal {
+        Ok(match normal {
             Some(normal) => {
                 let (p, n) = (stand.local(offset), stand.local(normal));
                 let (there, footprint) = self.layout.facing(segment.aim.texel, n, p);
@@ -375,12 +461,12 @@ impl Cache {
     }
 
     /// Whether nothing that the record sees lies in front of points of a segment.
-    fn march_to(&self, id: u32, from: Vec3, to: Vec3) -> Option<bool> {
+    fn march_to(&self, id: u32, from: Vec3, to: Vec3) -> Result<bool, Reason> {
         let stand = &self.stands[id as usize];
         let place = |p: Vec3| stand.local(p - stand.site.position);
         let (start, end) = (place(from), place(to));
         if end.z <= 0.0 {
-            return None;
+            return Err(Reason::BelowHorizon);
         }
         let width = self.layout.width();
         for k in 1..=MARCH {
@@ -391,15 +477,15 @@ impl Cache {
             let length = p.length();
             let code = self.map(id).code(self.layout.texel(p.x, p.y, length + p.z));
             if code == UNKNOWN {
-                return None;
+                return Err(Reason::Unknown);
             }
             // The slant of what lies there is not known.
             let least = length - 2.0 * HALF_DIAGONAL * width * (length + p.z);
             if self.layout.scale.decode(code) < least {
-                return Some(false);
+                return Ok(false);
             }
         }
-        Some(true)
+        Ok(true)
     }
 }
 

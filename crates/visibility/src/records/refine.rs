@@ -1,9 +1,10 @@
 //! Refinement, step by step (Ulbrich 2013, sections 3.2, 3.3 and 5).
 
 use super::cache::{Cache, PathSite, Slot};
+use super::correlation;
+use super::kernel::Machine;
 use super::map::{self, DistanceTracer, Map, Site, Stand};
 use super::neighbours::{self, NEIGHBOURS, NOBODY, enter};
-use super::paraboloid::{PROBES, SKY, UNKNOWN};
 use crate::Ray;
 use glam::Vec2;
 use std::sync::atomic::AtomicU64;
@@ -18,9 +19,6 @@ const MOST_GROWTH: u32 = 4;
 
 /// Share of the records that may move between two pilot batches.
 const MOVED_PER_PILOT: u32 = 32;
-
-/// Points that two records see are the same if they are nearer to each other than this many texels.
-const SAME_WITHIN: f32 = 1.5;
 
 /// How long the parts of refinement steps took: Table 1 of the paper.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -62,45 +60,8 @@ impl Clock {
 impl Cache {
     /// Share of directions in which `a` sees what `b` sees, too (section 3.2).
     pub(super) fn agreement(&self, a: u32, b: u32) -> f32 {
-        let (here, there) = (&self.stands[a as usize], &self.stands[b as usize]);
-        let (map, other) = (self.map(a), self.map(b));
-        let scale = self.layout.scale;
-        let width = self.layout.width();
-        // Everything in the other record's frame.
-        let turn = there.frame.transpose() * here.frame;
-        let offset = there.local(here.site.origin - there.site.origin);
-        let mut agree = 0u32;
-        for &(texel, direction) in &self.layout.probes {
-            let code = map.code(texel);
-            let d = turn * direction;
-            if code == UNKNOWN {
-                continue;
-            }
-            let (point, footprint) = if code == SKY {
-                (d, 0.0)
-            } else {
-                let distance = scale.decode(code);
-                (
-                    offset + d * distance,
-                    distance * width * (1.0 + direction.z),
-                )
-            };
-            // What lies below the other's horizon is not seen by it.
-            if point.z <= 0.0 {
-                continue;
-            }
-            let length = point.length();
-            let texel = self.layout.texel(point.x, point.y, length + point.z);
-            let seen = other.code(texel);
-            if code == SKY || seen == SKY {
-                agree += u32::from(code == seen);
-                continue;
-            }
-            let apart = (scale.decode(seen) - length).abs();
-            let theirs = width * (length + point.z);
-            agree += u32::from(apart < SAME_WITHIN * footprint.max(theirs));
-        }
-        agree as f32 / PROBES as f32
+        let record = |id: u32| (&self.stands[id as usize], self.map(id));
+        correlation::agreement(Machine::detect(), &self.layout, record(a), record(b))
     }
 
     /// Importance of every record (Eq. 1), with `u_max` over all.
@@ -132,7 +93,16 @@ impl Cache {
             }
             self.refine(tracer);
         }
+        self.unserved.clear();
         self.freshen();
+    }
+
+    /// Learns from a pass: takes over what it has used ([`Self::end_pass`]), and takes [`RecordSettings::pace`](super::RecordSettings::pace) steps.
+    pub fn pass_done<T: DistanceTracer>(&mut self, tracer: &T) {
+        let began = Instant::now();
+        self.end_pass();
+        self.refine_after(tracer, self.settings.pace);
+        self.report.upkeep += began.elapsed();
     }
 
     /// Takes `steps` steps behind a pass.
@@ -143,7 +113,8 @@ impl Cache {
         self.freshen();
     }
 
-    /// One step (section 3.3): a new record near the most important one, in place of the least important one if there is no room.
+    /// One step (section 3.3): a new record near the most important one, in place of the least important one if there is no room. Before
+    /// that, beyond the paper, places that nobody answers for get one: steps around records would hardly ever come there.
     /// Returns whether a place was found.
     pub fn refine<T: DistanceTracer>(&mut self, tracer: &T) -> bool {
         if self.is_empty() {
@@ -167,7 +138,10 @@ impl Cache {
         }
         times.find += clock.lap();
         let removed = full.then_some(least);
-        let place = if removed == Some(highest) {
+        let unserved = self.unserved_place();
+        let place = if unserved.is_some() {
+            unserved
+        } else if removed == Some(highest) {
             None
         } else {
             self.new_place(tracer, highest, removed)
@@ -183,9 +157,16 @@ impl Cache {
                 self.report.blind += 1;
             } else {
                 times.placed += 1;
-                // Two share from now on what one was asked. Whole, the guess would draw the next record here, too, until somebody asks.
-                let utility = 0.5 * self.slots[highest as usize].utility;
-                self.slots[highest as usize].utility = utility;
+                let utility = if unserved.is_some() {
+                    let sum: f32 = self.slots.iter().map(|slot| slot.utility).sum();
+                    sum / self.len() as f32
+                } else {
+                    // Two share from now on what one was asked. Whole, the guess would draw the next record here, too, until somebody
+                    // asks.
+                    let utility = 0.5 * self.slots[highest as usize].utility;
+                    self.slots[highest as usize].utility = utility;
+                    utility
+                };
                 self.replace(removed, stand, map, utility, &mut times, &mut clock);
             }
         }
@@ -203,26 +184,22 @@ impl Cache {
         times: &mut StepTimes,
         clock: &mut Clock,
     ) {
-        let id = match removed {
-            Some(id) => {
-                let old = self.stands[id as usize].site.position;
+        let old = removed.map(|id| self.stands[id as usize].site.position);
+        let id = match removed.zip(old) {
+            Some((id, old)) => {
                 self.index.remove(id, old);
                 self.index.insert(id, stand.site.position);
                 self.stands[id as usize] = stand;
-                let slot = &mut self.slots[id as usize];
-                slot.map = map;
-                slot.utility = utility;
-                slot.fresh = 2;
-                slot.links = [(NOBODY, 0.0); NEIGHBOURS];
+                self.slots[id as usize] = Slot::new(map, utility);
                 self.uses[id as usize] = AtomicU64::new(0);
                 id
             }
             None => {
-                self.push(stand, map, utility);
+                self.push(stand, Slot::new(map, utility));
                 self.len() as u32 - 1
             }
         };
-        self.changed(id, removed.is_some(), Some(stand.site.position));
+        self.changed(old, Some(stand.site.position));
         times.tree += clock.lap();
 
         // Who was linked to the old record looks for others.
@@ -272,6 +249,18 @@ impl Cache {
             self.correlate(other);
         }
         times.correlation += clock.lap();
+    }
+
+    /// A place that was asked for and that no record answers for.
+    fn unserved_place(&mut self) -> Option<Stand> {
+        while !self.unserved.is_empty() {
+            let any = self.random.next() as usize % self.unserved.len();
+            let site = self.unserved.swap_remove(any);
+            if self.choose(site.position, site.normal).ids[0] == NOBODY {
+                return Some(Stand::new(site));
+            }
+        }
+        None
     }
 
     /// A place near record `j` that is unlike those that have records (section 3.3, with the numbers of section 5). Record `gone` does

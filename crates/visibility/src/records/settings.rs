@@ -19,8 +19,8 @@ pub enum Lookup {
     #[default]
     Snap,
     /// The same, but the ray that starts at the place is cut with the plane of what the record sees: where a surface goes on as flat as it
-    /// is there the answer is as exact as distances are kept. Segments are answered as by snapping.
-    /// Where surfaces end, planes go on behind other surfaces, and what is found there is dark: a few per cent of the light of a small room.
+    /// is there the answer is as exact as distances are kept. Surfaces end, and planes go on behind others: so the record is asked once more
+    /// whether it sees the plane at the point found. Segments are answered as by snapping.
     Plane,
     /// Step by step along the true ray, until it is behind what the record sees (section 6).
     March,
