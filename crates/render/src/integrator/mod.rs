@@ -423,6 +423,8 @@ impl Sequence {
             }
             .min(target);
             let units = units_until(film, round_end, layout.tile);
+            // Rounds of an earlier run are learnt from already.
+            let is_new = !units.is_empty();
             let secondary = self.secondary.as_ref();
             let shared_film = Mutex::new(&mut *film);
             let stop = |first_round: bool| {
@@ -520,13 +522,15 @@ impl Sequence {
                 stopped_by = StoppedBy::Cancel;
                 break;
             }
-            at_rest(&AtRest {
-                film,
-                secondary: self.secondary.as_ref(),
-            });
-            visibility.pass_done(world.geometry);
-            if let Some(secondary) = &mut self.secondary {
-                secondary.pass_done(world.geometry);
+            if is_new {
+                at_rest(&AtRest {
+                    film,
+                    secondary: self.secondary.as_ref(),
+                });
+                visibility.pass_done(world.geometry);
+                if let Some(secondary) = &mut self.secondary {
+                    secondary.pass_done(world.geometry);
+                }
             }
             first_round = false;
             if stop(false) && round_end < target {

@@ -53,6 +53,23 @@ pub struct Records {
     cache: RwLock<Cache>,
 }
 
+/// Places along camera paths, and the lights that will be asked about: beyond the paper, whose records find their way to the lights by
+/// refinement alone. Lights that lie far from all camera paths would have no record near them.
+struct WithLights<'s> {
+    scout: &'s mut dyn Scout,
+    lights: &'s [PathSite],
+}
+
+impl Scout for WithLights<'_> {
+    fn draw(&mut self, count: usize, sites: &mut Vec<PathSite>) {
+        let before = sites.len();
+        self.scout.draw(count, sites);
+        if sites.len() > before {
+            sites.extend(self.lights);
+        }
+    }
+}
+
 /// Memory, scratch space and counters of one worker of [`Records`].
 #[derive(Debug, Default)]
 pub struct RecordsWorker {
@@ -130,26 +147,27 @@ impl<T: DistanceTracer> Visibility<T> for Records {
         if cache.take_restored() {
             return;
         }
+        // Every light is asked about as often as every other.
+        let lights = lights.iter().filter_map(|light| match light.end {
+            LightEnd::Surface(end) => Some(PathSite {
+                site: Site {
+                    position: end.position,
+                    normal: end.normal,
+                    origin: light.target.unwrap_or(end.position),
+                },
+                weight: 1.0,
+            }),
+            _ => None,
+        });
+        let lights: Vec<PathSite> = lights.collect();
         let steps = if cache.is_empty() {
-            cache.place_initial(tracer, scout);
+            let lights = &lights;
+            cache.place_initial(tracer, &mut WithLights { scout, lights });
             cache.settings().steps
         } else {
             cache.settings().steps_per_picture
         };
-        // Every light is asked about as often as every other.
-        cache.refine_before(tracer, steps, &mut |sites| {
-            sites.extend(lights.iter().filter_map(|light| match light.end {
-                LightEnd::Surface(end) => Some(PathSite {
-                    site: Site {
-                        position: end.position,
-                        normal: end.normal,
-                        origin: end.position,
-                    },
-                    weight: 1.0,
-                }),
-                _ => None,
-            }));
-        });
+        cache.refine_before(tracer, steps, &mut |sites| sites.extend(&lights));
     }
 
     fn moved(&self, tracer: &T, before: &[Ball], now: &[Ball]) {
