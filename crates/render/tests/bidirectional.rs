@@ -158,7 +158,7 @@ fn every_strategy_alone_finds_all_light_of_its_path_length() {
 
 fn bytes(film: &Film) -> Vec<u8> {
     let mut bytes = Vec::new();
-    film.write(&0, &mut bytes).unwrap();
+    film.write(&0, &[], &mut bytes).unwrap();
     bytes
 }
 

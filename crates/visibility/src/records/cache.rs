@@ -11,6 +11,9 @@ use glam::Vec3;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::time::{Duration, Instant};
 
+/// How far from a place a record may stand that answers for it, in distances between initial records.
+const REACH: f32 = 3.0;
+
 /// Units of use that a whole weight of 1 counts.
 pub const WHOLE_USE: u32 = 1 << 16;
 
@@ -41,10 +44,21 @@ pub struct PathSite {
     pub weight: f32,
 }
 
+impl PathSite {
+    fn is_sound(&self) -> bool {
+        self.site.position.is_finite() && self.site.normal.is_normalized()
+    }
+}
+
 /// Draws places along paths from the camera, where questions will come from.
 pub trait Scout {
     /// Appends about `count` places to `sites`, other ones at every call; fewer, or none, if the camera sees nothing.
     fn draw(&mut self, count: usize, sites: &mut Vec<PathSite>);
+
+    /// Appends places that are known to be asked about, wherever paths from the camera come. None by default.
+    fn asked(&mut self, sites: &mut Vec<PathSite>) {
+        let _ = sites;
+    }
 }
 
 /// What a cache holds and has done.
@@ -210,7 +224,7 @@ impl Cache {
 
     /// Records farther than this from a place do not answer for it.
     fn reach(&self) -> f32 {
-        3.0 * self.spacing
+        REACH * self.spacing
     }
 
     /// How near to a place records have nothing to say, if they stand `parallax` away from it. What stands right in front of a place
@@ -257,7 +271,8 @@ impl Cache {
     }
 
     /// The initial distribution (section 3.1): records at the vertices of camera paths, those too near to others left out. The
-    /// distance to keep is found on the way: it starts large and shrinks while too few places pass.
+    /// distance to keep is found on the way: it starts large and shrinks while too few places pass. Beyond the paper, places that are
+    /// asked about ([`Scout::asked`]) and would have no record near them get one.
     pub fn place_initial<T: DistanceTracer>(&mut self, tracer: &T, scout: &mut dyn Scout) {
         const DRAWN: usize = 4096;
         const SHRINK: f32 = 0.8;
@@ -280,17 +295,37 @@ impl Cache {
             for place in &sites {
                 let stand = Stand::new(place.site);
                 if stands.len() < wanted
-                    && place.site.position.is_finite()
-                    && place.site.normal.is_normalized()
-                    && !self.index.is_near(&stands, &stand, spacing)
+                    && place.is_sound()
+                    && !self.index.is_near(&stands, &stand, spacing, 0.5)
                 {
                     self.index.insert(stands.len() as u32, place.site.position);
                     stands.push(stand);
                 }
             }
-            if stands.len() - before < (wanted / 16).clamp(1, sites.len() / 8) {
+            let enough = (wanted / 16).clamp(1, sites.len() / 8);
+            if stands.len() < wanted && stands.len() - before < enough {
                 spacing *= SHRINK;
                 vain += 1;
+            }
+        }
+        sites.clear();
+        scout.asked(&mut sites);
+        // Those that came last give way: they stand where there are many already.
+        let mut spare = (stands.len() - first) / 4;
+        for place in &sites {
+            let stand = Stand::new(place.site);
+            if !place.is_sound() || self.index.is_near(&stands, &stand, REACH * spacing, 0.0) {
+                continue;
+            }
+            if stands.len() < wanted {
+                self.index.insert(stands.len() as u32, place.site.position);
+                stands.push(stand);
+            } else if spare > 0 {
+                let id = stands.len() - (stands.len() - first) / 4 + spare - 1;
+                spare -= 1;
+                self.index.remove(id as u32, stands[id].site.position);
+                self.index.insert(id as u32, place.site.position);
+                stands[id] = stand;
             }
         }
         self.spacing = spacing;

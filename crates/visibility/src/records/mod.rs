@@ -62,11 +62,11 @@ struct WithLights<'s> {
 
 impl Scout for WithLights<'_> {
     fn draw(&mut self, count: usize, sites: &mut Vec<PathSite>) {
-        let before = sites.len();
         self.scout.draw(count, sites);
-        if sites.len() > before {
-            sites.extend(self.lights);
-        }
+    }
+
+    fn asked(&mut self, sites: &mut Vec<PathSite>) {
+        sites.extend(self.lights);
     }
 }
 

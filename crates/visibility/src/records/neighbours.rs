@@ -101,11 +101,17 @@ impl Index {
         })
     }
 
-    /// Whether a record stands within `radius` of a place and looks to the same side.
-    pub(super) fn is_near(&self, stands: &[Stand], place: &Stand, radius: f32) -> bool {
+    /// Whether a record stands within `radius` of a place and its normal is turned away by less than the angle of this cosine.
+    pub(super) fn is_near(
+        &self,
+        stands: &[Stand],
+        place: &Stand,
+        radius: f32,
+        cosine: f32,
+    ) -> bool {
         let near = self.nearest(place.site.position);
         near.take_while(|&(_, distance)| distance < radius)
-            .any(|(id, _)| stands[id as usize].site.normal.dot(place.site.normal) > 0.5)
+            .any(|(id, _)| stands[id as usize].site.normal.dot(place.site.normal) > cosine)
     }
 }
 
