@@ -61,7 +61,7 @@ pub struct Settings {
     pub seed: u64,
     /// Where light comes from is gathered, too: [`Bake::moment`].
     pub directional: bool,
-    /// What texels reflect of the direct light beyond so many times the mean is gathered by rays aimed at them instead of bundles ([`SPOTS`]);
+    /// What texels reflect of the direct light beyond so many times the mean (of roots, squared) is gathered by rays aimed at them instead of bundles ([`SPOTS`]);
     /// infinity: never.
     pub spots: f32,
     /// How bundles are cut into tiles.

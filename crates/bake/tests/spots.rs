@@ -144,6 +144,18 @@ fn spots_bring_the_same_light_with_less_noise() {
     }
     println!("{blocks} blocks: least probability {least:.1e}");
     assert!(least > 1e-4 / (2 * blocks) as f64, "{least}");
+    // And all of them together.
+    let total = |runs: &[Vec<(f32, f32)>]| {
+        Estimate::of(
+            runs.iter()
+                .map(|run| run.iter().map(|t| f64::from(t.0)).sum::<f64>()),
+        )
+    };
+    let totals = [&aimed, &lines, &paths].map(|runs| total(runs));
+    for one in totals {
+        println!("{:.3} +- {:.3}", one.mean, one.variance.sqrt());
+    }
+    assert!(totals[0].same(&totals[2]) > 1e-3, "{totals:?}");
     // The variance of single texels.
     let variance = |runs: &[Vec<(f32, f32)>]| -> f64 {
         let texels = (0..aimed[0].len()).map(|texel| {

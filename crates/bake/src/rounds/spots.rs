@@ -21,7 +21,7 @@ use glam::{Vec2, Vec3};
 use occlude_render::geometry::WorldTriangle;
 use occlude_render::light::{Patch, Patches};
 use occlude_render::sampling::{Sampler, SamplerKind};
-use occlude_visibility::{Hit, Ray, Tracer, offset_along_normal};
+use occlude_visibility::{Ray, Tracer, offset_along_normal};
 use rayon::prelude::*;
 
 /// Spots at most: with more the bound is raised.
@@ -82,11 +82,13 @@ impl Bake<'_> {
             sum
         };
         let all = sums(&|sent| f64::from(sent));
+        // The square of the mean root: what the sun shines on outside says little about the rooms.
+        let roots = sums(&|sent| f64::from(sent).sqrt());
         let lit = sums(&|sent| if sent > 0.0 { 1.0 } else { 0.0 });
         if lit == 0.0 {
             return f32::INFINITY;
         }
-        let mut bound = (f64::from(times) * all / lit) as f32;
+        let mut bound = (f64::from(times) * (roots / lit).powi(2)) as f32;
         while sums(&|sent| if sent > bound { 1.0 } else { 0.0 }) > MOST_SPOTS as f64 {
             bound *= 2.0;
         }
@@ -182,24 +184,11 @@ impl Bake<'_> {
         let (mut spots, mut patches) = (Vec::new(), Vec::new());
         for i in 0..band.len() {
             let area = texels.world_area(&band, i);
-            // Where the texel is: its parts' corners would be the triangles', which may be large.
-            const PLACES: [[f32; 2]; 9] = [
-                [0.0, 0.0],
-                [0.0, 0.5],
-                [0.0, 0.999],
-                [0.5, 0.0],
-                [0.5, 0.5],
-                [0.5, 0.999],
-                [0.999, 0.0],
-                [0.999, 0.5],
-                [0.999, 0.999],
-            ];
-            let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
-            for place in PLACES {
-                let hit = texels.sample(&band, i, Vec2::from_array(place));
-                let point = self.world(hit).point(hit.u, hit.v);
-                (low, high) = (low.min(point), high.max(point));
-            }
+            let corners = texels.world_corners(&band, i);
+            let low = corners.iter().fold(Vec3::INFINITY, |low, c| low.min(*c));
+            let high = corners
+                .iter()
+                .fold(Vec3::NEG_INFINITY, |high, c| high.max(*c));
             let normals: Vec<Vec3> = band
                 .fragments(i)
                 .iter()
@@ -232,8 +221,7 @@ impl Bake<'_> {
                 });
                 patches.push(Patch {
                     center: 0.5 * (low + high),
-                    // The places reach to the texel's edges but for slivers of several triangles: half as much again.
-                    radius: 0.75 * low.distance(high),
+                    radius: 0.5 * low.distance(high) * (1.0 + 1e-4),
                     normal: if back { -axis } else { axis },
                     spread,
                     intensity,
@@ -241,11 +229,6 @@ impl Bake<'_> {
             }
         }
         (band, spots, patches)
-    }
-
-    fn world(&self, hit: Hit) -> WorldTriangle {
-        let texels = self.subject.texels;
-        WorldTriangle::new(texels.scene, texels.pose, hit.instance, hit.primitive)
     }
 
     /// What arrives from spots at some samples, W/m²; their first moments are appended to `moments`. Returns the number of rays.

@@ -331,6 +331,24 @@ impl<'a> Texels<'a> {
         }
     }
 
+    /// Where the parts of the `i`-th texel of a band have their corners in the world.
+    pub(crate) fn world_corners(&self, band: &Band, i: usize) -> Vec<Vec3> {
+        let mut found = Vec::new();
+        for f in band.fragments(i) {
+            let world = WorldTriangle::new(self.scene, self.pose, f.instance, f.primitive);
+            let (polygon, corners) = self.polygon(f);
+            if polygon.area() > LEAST_AREA {
+                found.extend(polygon.points().iter().map(|&at| {
+                    let hit = self.hit(f, corners, at);
+                    world.point(hit.u, hit.v)
+                }));
+            } else {
+                found.extend(world.corners);
+            }
+        }
+        found
+    }
+
     /// A fragment's shape, and its triangle's corners, on the page.
     fn polygon(&self, f: &Fragment) -> (Polygon, [Vec2; 3]) {
         let (_, at) = self.place(f.texel);
