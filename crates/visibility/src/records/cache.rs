@@ -309,7 +309,10 @@ impl Cache {
             }
         }
         sites.clear();
-        scout.asked(&mut sites);
+        // A camera that sees nothing has no questions.
+        if !stands.is_empty() {
+            scout.asked(&mut sites);
+        }
         // Those that came last give way: they stand where there are many already.
         let mut spare = (stands.len() - first) / 4;
         for place in &sites {
