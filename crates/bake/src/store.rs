@@ -1,7 +1,7 @@
 //! Where the arrays over all sides live: in memory, or in files for light maps that are larger than memory.
 //!
 //! Light maps go out of core by the oldest means: what is read in order lives in mapped files and is let go of after each
-//! stretch ([`Buffer::release`]); what is written at random is sorted first. Terms of bundles ([`Spill`]) are kept in a file, by windows of neighbouring
+//! stretch ([`Buffer::release`]); what is written at random is sorted first. Terms of bundles (`Spill`) are kept in a file, by windows of neighbouring
 //! sums, and after some directions each window is brought to memory once and takes all of its terms. One map
 //! stays in memory: the packed radiance that bundles read at random, 4 bytes a side, a third of a light map of floats.
 //!
