@@ -6,6 +6,7 @@ use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
 use util::Dir;
 
 const WIDTH: u32 = 480;
@@ -13,6 +14,10 @@ const HEIGHT: u32 = 360;
 
 /// Mean LDR-FLIP between the page and the program; edges are sampled differently.
 const MOST_FLIP: f64 = 0.03;
+
+/// How long the browser may take, and how often it is asked.
+const PATIENCE: Duration = Duration::from_secs(60);
+const ATTEMPTS: u32 = 3;
 
 fn browser() -> Option<PathBuf> {
     let names = ["chromium", "chromium-browser", "google-chrome"];
@@ -63,6 +68,48 @@ fn answer(mut stream: TcpStream, folder: &Path) {
         .and_then(|()| stream.write_all(&body));
 }
 
+/// A picture of a page, and what the browser said; `None` if it hangs, which it does now and then.
+fn shoot(browser: &Path, profile: &Path, shot: &Path, url: &str) -> Option<String> {
+    std::fs::create_dir_all(profile).unwrap();
+    let log = profile.join("stderr.txt");
+    let mut child = Command::new(browser)
+        .args([
+            "--headless=new",
+            "--no-sandbox",
+            "--use-angle=swiftshader",
+            "--enable-unsafe-swiftshader",
+        ])
+        .args([
+            "--hide-scrollbars",
+            "--force-device-scale-factor=1",
+            "--virtual-time-budget=30000",
+        ])
+        .args([
+            "--enable-logging=stderr",
+            "--run-all-compositor-stages-before-draw",
+        ])
+        .arg(format!("--user-data-dir={}", profile.display()))
+        .arg(format!("--window-size={WIDTH},{HEIGHT}"))
+        .arg(format!("--screenshot={}", shot.display()))
+        .arg(url)
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(std::fs::File::create(&log).unwrap())
+        .spawn()
+        .unwrap();
+    let began = Instant::now();
+    while child.try_wait().unwrap().is_none() {
+        if began.elapsed() > PATIENCE {
+            child.kill().unwrap();
+            child.wait().unwrap();
+            eprintln!("the browser hangs");
+            return None;
+        }
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    Some(String::from_utf8_lossy(&std::fs::read(&log).unwrap()).into_owned())
+}
+
 #[test]
 fn the_page_shows_what_the_program_shows() {
     let Some(browser) = browser() else { return };
@@ -78,30 +125,17 @@ fn the_page_shows_what_the_program_shows() {
         ));
         let port = serve(dir.path(&out));
         let shot = dir.path("shot.png");
-        let shown = Command::new(&browser)
-            .args([
-                "--headless=new",
-                "--no-sandbox",
-                "--use-angle=swiftshader",
-                "--enable-unsafe-swiftshader",
-            ])
-            .args([
-                "--hide-scrollbars",
-                "--force-device-scale-factor=1",
-                "--virtual-time-budget=30000",
-            ])
-            .args([
-                "--enable-logging=stderr",
-                "--run-all-compositor-stages-before-draw",
-            ])
-            .arg(format!("--user-data-dir={}", dir.path("profile").display()))
-            .arg(format!("--window-size={WIDTH},{HEIGHT}"))
-            .arg(format!("--screenshot={}", shot.display()))
-            .arg(format!("http://127.0.0.1:{port}/view.html?panel=0"))
-            .stdin(Stdio::null())
-            .output()
-            .unwrap();
-        let log = String::from_utf8_lossy(&shown.stderr).into_owned();
+        let url = format!("http://127.0.0.1:{port}/view.html?panel=0");
+        let log = (0..ATTEMPTS)
+            .find_map(|attempt| {
+                shoot(
+                    &browser,
+                    &dir.path(&format!("profile-{attempt}")),
+                    &shot,
+                    &url,
+                )
+            })
+            .expect("the browser makes no picture in time");
         let said: Vec<&str> = log
             .lines()
             .filter(|line| line.contains("CONSOLE"))
