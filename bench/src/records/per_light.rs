@@ -11,9 +11,9 @@ use crate::quantized::fixed;
 use crate::quantized::quality::quality;
 use crate::quantized::shot::{Shot, Stage, Task, instant_radiosity};
 use occlude_render::geometry::Geometry;
-use occlude_visibility::records::{PathSite, RecordSettings, Records, Scout, Select, Site};
+use occlude_visibility::records::{PathSite, RecordSettings, Records, Scout, Select};
 use occlude_visibility::{
-    Class, Exact, EyeSample, LightEnd, ManyLights, Query, SharedLight, Visibility, VisibilityStats,
+    Class, Exact, EyeSample, ManyLights, Query, SharedLight, Visibility, VisibilityStats,
 };
 
 /// A record on every virtual light, which answers for it alone.
@@ -80,18 +80,7 @@ impl<'a> Visibility<Geometry<'a>> for MapPerLight {
     }
 
     fn prepare(&self, tracer: &Geometry<'a>, lights: &[SharedLight], _: &mut dyn Scout) {
-        let sites = lights.iter().filter_map(|light| match light.end {
-            LightEnd::Surface(end) => Some(PathSite {
-                site: Site {
-                    position: end.position,
-                    normal: end.normal,
-                    origin: light.target.unwrap_or(end.position),
-                },
-                weight: 1.0,
-            }),
-            _ => None,
-        });
-        let mut scout = OnLights(sites.collect());
+        let mut scout = OnLights(PathSite::on_lights(lights));
         self.0.cache_mut().place_initial(tracer, &mut scout);
     }
 

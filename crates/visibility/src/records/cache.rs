@@ -7,6 +7,7 @@ use super::paraboloid::{Layout, UNKNOWN};
 use super::refine::StepTimes;
 use super::settings::{RecordSettings, RecordsError};
 use crate::two_part::Ball;
+use crate::{LightEnd, SharedLight};
 use glam::Vec3;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::time::{Duration, Instant};
@@ -45,6 +46,22 @@ pub struct PathSite {
 }
 
 impl PathSite {
+    /// The places of lights that lie on surfaces, virtual lights above all; each is asked about as often as every other.
+    pub fn on_lights(lights: &[SharedLight]) -> Vec<Self> {
+        let sites = lights.iter().filter_map(|light| match light.end {
+            LightEnd::Surface(end) => Some(Self {
+                site: Site {
+                    position: end.position,
+                    normal: end.normal,
+                    origin: light.target.unwrap_or(end.position),
+                },
+                weight: 1.0,
+            }),
+            _ => None,
+        });
+        sites.collect()
+    }
+
     fn is_sound(&self) -> bool {
         self.site.position.is_finite() && self.site.normal.is_normalized()
     }

@@ -147,19 +147,7 @@ impl<T: DistanceTracer> Visibility<T> for Records {
         if cache.take_restored() {
             return;
         }
-        // Every light is asked about as often as every other.
-        let lights = lights.iter().filter_map(|light| match light.end {
-            LightEnd::Surface(end) => Some(PathSite {
-                site: Site {
-                    position: end.position,
-                    normal: end.normal,
-                    origin: light.target.unwrap_or(end.position),
-                },
-                weight: 1.0,
-            }),
-            _ => None,
-        });
-        let lights: Vec<PathSite> = lights.collect();
+        let lights = PathSite::on_lights(lights);
         let steps = if cache.is_empty() {
             let lights = &lights;
             cache.place_initial(tracer, &mut WithLights { scout, lights });
