@@ -9,7 +9,7 @@ use crate::quantized::shot::{Shot, Stage, Task, interleave};
 use crate::quantized::{fixed, percent};
 use glam::Vec3;
 use occlude_render::integrator::{Integrator, PathLimits, Secondary};
-use occlude_visibility::records::{Cache, RayAnswer, RecordSettings, RecordsReader, Site};
+use occlude_visibility::records::{Cache, Nearby, RayAnswer, RecordSettings, RecordsReader, Site};
 use occlude_visibility::{Exact, Ray};
 
 /// Questions that look into their records together, as the integrator has it.
@@ -21,12 +21,17 @@ fn by_records(cache: &Cache, reader: &mut RecordsReader, rays: &[(Site, Vec3)]) 
     let mut unknown = 0usize;
     let mut sum = 0.0;
     for rays in rays.chunks(TOGETHER) {
+        let mut nearby = [Nearby::NOBODY; TOGETHER];
         let mut aims = [None; TOGETHER];
         let mut texels = [0; TOGETHER];
-        for (k, (&(site, direction), aim)) in rays.iter().zip(&mut aims).enumerate() {
-            let nearby = cache.nearby(site.position, site.normal);
+        let places = std::array::from_fn::<_, TOGETHER, _>(|k| {
+            let site = rays[k.min(rays.len() - 1)].0;
+            (site.position, site.normal)
+        });
+        cache.nearby_many(&places[..rays.len()], &mut nearby);
+        for (k, (&(_, direction), aim)) in rays.iter().zip(&mut aims).enumerate() {
             let random = (k as f32 * 0.618).fract();
-            *aim = cache.aim(reader, &nearby, direction, random, 1.0).ok();
+            *aim = (cache.aim(reader, &nearby[k], direction, random, 1.0)).ok();
         }
         for (aim, texel) in aims.iter().zip(&mut texels) {
             if let Some(aim) = aim {
@@ -58,7 +63,14 @@ pub fn run(
     let name = measured.subject.name;
     let count = if setting.quick { 1 << 14 } else { 1 << 18 };
     let rays = bounces(stage, plan, count);
-    let cache = placed(stage, plan, settings(stage, plan, true));
+    let cache = placed(
+        stage,
+        plan,
+        RecordSettings {
+            resolution: 64,
+            ..settings(stage, plan, true)
+        },
+    );
     if rays.is_empty() || cache.is_empty() {
         return report.note(format!("{name}: nothing to ask"));
     }

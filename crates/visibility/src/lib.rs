@@ -57,6 +57,7 @@ mod session;
 mod stats;
 mod tracer;
 pub mod two_part;
+mod wide;
 
 pub use exact::{Exact, ExactWorker};
 pub use many::{BLOCK, Correction, EveryLight, EyeSample, ManyLights, SharedLight};

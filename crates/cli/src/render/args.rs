@@ -149,8 +149,9 @@ pub struct RenderArgs {
     /// digest=separable|lcg|lcg-xorshift. Suns and lamps without extent are traced exactly where there are 256 virtual lights or more for each of them,
     /// unless error-point, error-direction or error say otherwise. Saves time where all pixels ask about the same lights (instant-radiosity); with other integrators
     /// it saves rays, and seldom time.
-    /// records[:NAME=VALUE,...] (with --integrator instant-radiosity): distance maps near the virtual lights answer. Their options: count=4000 (at most; of these, as
-    /// many are placed at first as the work is worth, or initial=N, or all of a count that is given), resolution=128, alpha=0.6 (0: records go where visibility changes, 1: where they are used), steps=auto|N (of refinement before the first
+    /// records[:NAME=VALUE,...] (with --integrator instant-radiosity): distance maps answer. Their options: count=4000 (at most), resolution=128,
+    /// place=auto|lights|paths (lights: one on each virtual light, if there are enough; paths: near lights, placed along paths from the camera and refined; auto: lights,
+    /// unless a further option speaks of paths), for paths initial=N (at first, by default as many as the work is worth, or all of a count that is given), alpha=0.6 (0: records go where visibility changes, 1: where they are used), steps=auto|N (of refinement before the first
     /// pass), pace=1 (after each), frame-steps=32 (before each further frame), select=nearest|probable, lookup=snap|plane|march,
     /// near=auto|off|on|LENGTH (auto: questions shorter than records are apart are traced;
     /// on, LENGTH: and short rays at both ends, in units of what a record is uncertain by)
@@ -243,7 +244,7 @@ pub struct RenderArgs {
     pub resume: bool,
 
     /// Do part I of N (I from 0) of the samples and write a mergeable part instead of a picture: see occlude merge. With --frames:
-    /// do part I of N of the frames, whole. Records must stay as they are before the first pass then: pace=0
+    /// do part I of N of the frames, whole. Records must stay as they are before the first pass then: on lights, or pace=0
     #[arg(long, value_name = "I/N", help_heading = "Work")]
     pub shard: Option<Shard>,
 }
@@ -341,7 +342,8 @@ impl RenderArgs {
                 ));
             }
             let records = self.records();
-            let fixed = !frames && records.is_some_and(RecordsOptions::are_fixed);
+            let lights = self.secondary.is_none().then_some(self.vpls);
+            let fixed = !frames && records.is_some_and(|records| records.are_fixed(lights));
             if (self.remembers() || records.is_some()) && !fixed {
                 return Err(CliError::input(
                     "parts would not add up to the picture of one machine: remembered answers depend on what was asked before",

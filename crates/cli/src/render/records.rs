@@ -15,7 +15,8 @@ use occlude_render::views::{RecordColour, draw};
 use occlude_scene::{Pose, Scene};
 use occlude_visibility::VisibilityStats;
 use occlude_visibility::records::{
-    Cache, Lookup, RecordGuarantee, RecordSettings, Records, RecordsError, RecordsReport, Select,
+    Cache, Lookup, Placement, RecordGuarantee, RecordSettings, Records, RecordsError,
+    RecordsReport, Select,
 };
 use std::path::Path;
 
@@ -47,6 +48,7 @@ pub struct RecordsOptions {
     steps: Option<u32>,
     pace: Option<u32>,
     steps_per_frame: Option<u32>,
+    placement: Option<Placement>,
     select: Option<Select>,
     lookup: Option<Lookup>,
     near: Option<f32>,
@@ -102,10 +104,24 @@ impl RecordsOptions {
         Ok(options)
     }
 
-    /// Whether the records stay what they are before the first pass. Then they follow from the scene and the options alone; else passes
-    /// that ask other questions make other records.
-    pub fn are_fixed(&self) -> bool {
-        self.pace == Some(0)
+    /// Where records stand that answer for virtual lights. Who says how they are placed or refined along paths wants them there.
+    fn placement(&self) -> Placement {
+        let along_paths = [self.initial, self.steps, self.pace, self.steps_per_frame];
+        let said = along_paths.iter().any(Option::is_some) || self.alpha.is_some();
+        let usual = if said {
+            Placement::Paths
+        } else {
+            Placement::Lights
+        };
+        self.placement.unwrap_or(usual)
+    }
+
+    /// Whether the records stay what they are before the first pass: then they follow from the scene and the options alone; else passes
+    /// that ask other questions make other records. `vpls`: the virtual lights that they answer for, if they do.
+    pub fn are_fixed(&self, vpls: Option<u32>) -> bool {
+        let capacity = self.count.unwrap_or(RecordSettings::default().capacity);
+        let fit = vpls.is_some_and(|vpls| vpls <= capacity);
+        self.pace == Some(0) || fit && self.placement() == Placement::Lights
     }
 
     fn set(&mut self, name: &str, value: &str, secondary: bool) -> Result<(), String> {
@@ -123,6 +139,14 @@ impl RecordsOptions {
             "steps" => self.steps = Some(count()?),
             "pace" => self.pace = Some(count()?),
             "frame-steps" => self.steps_per_frame = Some(count()?),
+            "place" if !secondary => {
+                self.placement = match value {
+                    "auto" => None,
+                    "lights" => Some(Placement::Lights),
+                    "paths" => Some(Placement::Paths),
+                    _ => return Err(format!("{value:?}: there are auto, lights and paths")),
+                };
+            }
             "select" => {
                 self.select = Some(match value {
                     "nearest" => Select::Nearest,
@@ -151,9 +175,9 @@ impl RecordsOptions {
                 _ => return Err(format!("{value:?}: there are 1 and 2")),
             },
             _ => {
-                let from = if secondary { "from, " } else { "" };
+                let first = if secondary { "from" } else { "place" };
                 return Err(format!(
-                    "no such option: there are {from}count, initial, resolution, alpha, steps, pace, frame-steps, select, lookup and near"
+                    "no such option: there are {first}, count, initial, resolution, alpha, steps, pace, frame-steps, select, lookup and near"
                 ));
             }
         }
@@ -209,6 +233,7 @@ impl RecordsOptions {
                 Some(GuaranteeName::Unbiased) => RecordGuarantee::Unbiased,
                 _ => RecordGuarantee::Biased,
             },
+            placement: self.placement(),
             ..self.settings(
                 context,
                 scene,

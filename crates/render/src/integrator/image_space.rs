@@ -164,6 +164,15 @@ struct Look {
     position: Vec3,
 }
 
+/// A path that leaves a surface: the one where it enters the cache, or one that it met there.
+#[derive(Clone, Copy, Debug)]
+enum Vertex {
+    /// Its way goes on along its ray; the number chooses who is asked.
+    Entry(u32, f32),
+    /// It asks for light there, and scatters.
+    Inside(u32, CachedSurface),
+}
+
 /// A light sample that waits for its answer.
 #[derive(Clone, Copy, Debug)]
 struct Asked {
@@ -179,6 +188,10 @@ pub(super) struct Scratch {
     reader: RecordsReader,
     looks: Vec<Look>,
     next: Vec<Look>,
+    vertices: Vec<Vertex>,
+    /// Where these lie, and who answers there.
+    places: Vec<(Vec3, Vec3)>,
+    nearby: Vec<Nearby>,
     asked: Vec<Asked>,
     rays: Vec<Ray>,
     occluded: Vec<bool>,
@@ -210,6 +223,13 @@ impl SecondaryRays {
 }
 
 impl Scratch {
+    /// Before vertices are collected that go through the same steps together.
+    fn begin_vertices(&mut self) {
+        self.vertices.clear();
+        self.places.clear();
+        self.asked.clear();
+    }
+
     /// Light samples at vertices in the cache; those that no record answered are counted where they are traced.
     pub(super) fn stats(&self) -> VisibilityStats {
         VisibilityStats {
@@ -238,19 +258,22 @@ pub(super) fn advance(
     let Some(cache) = secondary.cache() else {
         return;
     };
-    space.looks.clear();
     let cached = std::mem::take(&mut scratch.cached);
-    for &index in &cached {
-        let path = &mut scratch.paths[index as usize];
-        let Some(Leaving { normal, random }) = path.leaving.take() else {
-            continue;
-        };
-        let nearby = cache.nearby(path.ray.origin, normal);
-        look(cache, scratch, space, index, &nearby, random);
+    for cached in cached.chunks(TOGETHER) {
+        space.begin_vertices();
+        for &index in cached {
+            let path = &mut scratch.paths[index as usize];
+            if let Some(Leaving { normal, random }) = path.leaving.take() {
+                space.vertices.push(Vertex::Entry(index, random));
+                space.places.push((path.ray.origin, normal));
+            }
+        }
+        leave(world, cache, scratch, space);
     }
     scratch.cached = cached;
-    std::mem::swap(&mut space.looks, &mut space.next);
-    while !space.looks.is_empty() {
+    while !space.next.is_empty() {
+        std::mem::swap(&mut space.looks, &mut space.next);
+        space.next.clear();
         near_field(world, cache, scratch, space);
         let looks = std::mem::take(&mut space.looks);
         for looks in looks.chunks(TOGETHER) {
@@ -259,15 +282,14 @@ pub(super) fn advance(
             for (look, texel) in looks.iter().zip(&mut texels) {
                 *texel = cache.fetch(&look.aim);
             }
-            space.asked.clear();
+            space.begin_vertices();
             for (look, &texel) in looks.iter().zip(&texels) {
                 arrive(world, limits, cache, scratch, space, look, texel);
             }
+            leave(world, cache, scratch, space);
             settle(world.geometry, cache, scratch, space);
         }
         space.looks = looks;
-        space.looks.clear();
-        std::mem::swap(&mut space.looks, &mut space.next);
     }
 }
 
@@ -327,7 +349,7 @@ fn near_field(world: &World, cache: &Cache, scratch: &mut path::Scratch, space: 
     });
 }
 
-/// A path learns what it sees, asks for light there, and chooses its next direction.
+/// A path learns what it sees.
 fn arrive(
     world: &World,
     limits: PathLimits,
@@ -353,39 +375,59 @@ fn arrive(
         }
         RayAnswer::Surface(surface) => surface,
     };
+    if path.depth >= limits.max_depth {
+        return;
+    }
     if world.geometry.has_panes() {
         let way = Ray::between(path.ray.origin, surface.position);
         path.throughput *= world.geometry.pane_transmittance(&way);
     }
-    let nearby = cache.nearby(surface.position, surface.normal);
-    let mut ask = |path: &Path, query: Query, end: SegmentEnd, contribution: Vec3, random: f32| {
-        let weight = 1.0 / (path.depth + 1) as f32;
-        let from = surface.position;
-        let reader = &mut space.reader;
-        space.asked.push(Asked {
-            path: look.path,
-            aim: cache.aim_segment(reader, &nearby, from, end, random, weight),
-            query,
-            contribution,
-        });
-    };
-    if let Some(random) = scatter(world, limits, path, &surface, &mut ask) {
-        self::look(cache, scratch, space, look.path, &nearby, random);
+    space.vertices.push(Vertex::Inside(look.path, surface));
+    space.places.push((surface.position, surface.normal));
+}
+
+/// Paths find out who answers where they are, ask for light there, and choose whom they ask where they go on.
+fn leave(world: &World, cache: &Cache, scratch: &mut path::Scratch, space: &mut Scratch) {
+    let (vertices, mut nearby) = (
+        std::mem::take(&mut space.vertices),
+        std::mem::take(&mut space.nearby),
+    );
+    nearby.resize(vertices.len(), Nearby::NOBODY);
+    cache.nearby_many(&space.places, &mut nearby);
+    for (vertex, nearby) in vertices.iter().zip(&nearby) {
+        let (index, random) = match *vertex {
+            Vertex::Entry(index, random) => (index, Some(random)),
+            Vertex::Inside(index, surface) => {
+                let mut ask = |path: &Path, query, end, contribution, random| {
+                    let weight = 1.0 / (path.depth + 1) as f32;
+                    let from = surface.position;
+                    let reader = &mut space.reader;
+                    space.asked.push(Asked {
+                        path: index,
+                        aim: cache.aim_segment(reader, nearby, from, end, random, weight),
+                        query,
+                        contribution,
+                    });
+                };
+                let path = &mut scratch.paths[index as usize];
+                (index, scatter(world, path, &surface, &mut ask))
+            }
+        };
+        if let Some(random) = random {
+            look(cache, scratch, space, index, nearby, random);
+        }
     }
+    (space.vertices, space.nearby) = (vertices, nearby);
 }
 
 /// A vertex that scatters like a Lambert surface: asks for light, and turns the path. If it goes on, returns a random number for the
 /// choice of who is to be asked.
 fn scatter(
     world: &World,
-    limits: PathLimits,
     path: &mut Path,
     surface: &CachedSurface,
     ask: &mut impl FnMut(&Path, Query, SegmentEnd, Vec3, f32),
 ) -> Option<f32> {
-    if path.depth >= limits.max_depth {
-        return None;
-    }
     let (normal, albedo) = (surface.normal, surface.albedo);
     path.sampler
         .jump(1 + (path.depth + path.panes) * SETS_PER_SEGMENT);

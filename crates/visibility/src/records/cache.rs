@@ -1,9 +1,10 @@
 //! The cache: records, what they are worth, and how they move.
 
-use super::cells::{Cells, Change, Choice};
+use super::cells::{Cells, Change};
 use super::map::{self, DistanceTracer, Map, Site, Stand};
 use super::neighbours::{self, Index, Links, NEIGHBOURS, NOBODY};
 use super::paraboloid::{Layout, UNKNOWN};
+use super::ranking::Nearby;
 use super::refine::StepTimes;
 use super::settings::{RecordSettings, RecordsError};
 use crate::two_part::Ball;
@@ -161,6 +162,8 @@ pub struct Cache {
     pub(super) unserved: Vec<Site>,
     cells: Cells,
     version: u64,
+    /// Records stand on the lights that are asked about, each for itself: no steps.
+    on_lights: bool,
     /// The records are those of an earlier run ([`Self::restore`]), and nobody has asked yet.
     pub(super) restored: bool,
     pub(super) random: Random,
@@ -183,6 +186,7 @@ impl Cache {
             unserved: Vec::new(),
             cells: Cells::new(settings.capacity),
             version: 0,
+            on_lights: false,
             restored: false,
             random: Random(settings.seed ^ 0x7265_636f_7264_7321),
             report: RecordsReport {
@@ -250,20 +254,28 @@ impl Cache {
         self.settings.contact * parallax.max(self.spacing)
     }
 
-    /// The records that answer for a place.
-    pub(super) fn choose(&self, position: Vec3, normal: Vec3) -> Choice {
+    /// The records that answer for a place with a unit normal.
+    pub fn nearby(&self, position: Vec3, normal: Vec3) -> Nearby {
+        let mut found = [Nearby::NOBODY];
+        self.nearby_many(&[(position, normal)], &mut found);
+        found[0]
+    }
+
+    /// The records that answer for places, each told by its position and unit normal, in as many elements of `found`. Several times as fast as
+    /// one by one: all wait for memory together.
+    pub fn nearby_many(&self, places: &[(Vec3, Vec3)], found: &mut [Nearby]) {
         if self.is_empty() {
-            return Choice::NONE;
+            return found.fill(Nearby::NOBODY);
         }
         let falloff = self.settings.falloff;
-        let choice = (self.cells).choose(&self.index, &self.stands, falloff, position, normal);
-        let near = |id: u32| {
-            id != NOBODY && self.stands[id as usize].site.position.distance(position) < self.reach()
-        };
-        if near(choice.ids[0]) {
-            choice
-        } else {
-            Choice::NONE
+        (self.cells).choose(&self.index, &self.stands, falloff, places, found);
+        for ((position, _), found) in places.iter().zip(found) {
+            let id = found.ids[0];
+            let near = id != NOBODY
+                && self.stands[id as usize].site.position.distance(*position) < self.reach();
+            if !near {
+                *found = Nearby::NOBODY;
+            }
         }
     }
 
@@ -376,6 +388,61 @@ impl Cache {
         self.report.initial += began.elapsed();
     }
 
+    /// A record on each of these places, and nowhere else; those that stand there already stay. No more places than records are possible.
+    pub(super) fn stand_on<T: DistanceTracer>(&mut self, tracer: &T, places: &[PathSite]) {
+        let began = Instant::now();
+        let [low, high] = self.settings.scene;
+        self.spacing = (high - low).length() / (places.len().max(1) as f32).sqrt();
+        self.on_lights = true;
+        let key = |site: &Site| {
+            (
+                site.position.to_array().map(f32::to_bits),
+                site.normal.to_array().map(f32::to_bits),
+            )
+        };
+        let mut wanted = std::collections::HashSet::new();
+        let places: Vec<&PathSite> = (places.iter())
+            .filter(|place| place.is_sound() && wanted.insert(key(&place.site)))
+            .collect();
+        let mut id = 0;
+        while id < self.len() {
+            // Asked for already: the place needs no other.
+            if wanted.remove(&key(&self.stands[id].site)) {
+                id += 1;
+            } else {
+                self.take_out(id as u32);
+            }
+        }
+        let new: Vec<Stand> = (places.iter())
+            .filter(|place| wanted.contains(&key(&place.site)))
+            .map(|place| Stand::new(place.site))
+            .collect();
+        let (surfaces, threads) = (self.settings.surfaces, self.settings.threads);
+        let maps = map::fill_all(tracer, &self.layout, &new, surfaces, threads);
+        self.report.fill_rays += (new.len() * self.layout.texels.len()) as u64;
+        for (stand, map) in new.into_iter().zip(maps) {
+            self.push(stand, Slot::new(map, 1.0));
+        }
+        self.changed_altogether();
+        self.report.initial += began.elapsed();
+    }
+
+    /// The record that stands on a light, if records stand on lights.
+    pub(super) fn own(&self, position: Vec3, normal: Vec3) -> Option<u32> {
+        let here = |&(id, distance): &(u32, f32)| {
+            distance == 0.0 && self.stands[id as usize].site.normal == normal
+        };
+        let nearest = || self.index.nearest(position);
+        (self.on_lights)
+            .then(|| nearest().take_while(|found| found.1 == 0.0).find(here))?
+            .map(|found| found.0)
+    }
+
+    /// Whether steps make records better.
+    pub(super) fn can_improve(&self) -> bool {
+        !self.is_empty() && !self.on_lights
+    }
+
     /// Who sees no farther than this stands inside something.
     pub(super) fn blind_within(&self) -> f32 {
         0.02 * self.spacing
@@ -447,7 +514,7 @@ impl Cache {
         self.freshen();
         self.unserved.clear();
         for place in sites {
-            let choice = self.choose(place.site.position, place.site.normal);
+            let choice = self.nearby(place.site.position, place.site.normal);
             if choice.ids[0] == NOBODY {
                 self.unserved.push(place.site);
             }
@@ -490,6 +557,9 @@ impl Cache {
             self.slots[id].map = map;
         }
         self.changed_altogether();
+        if self.on_lights {
+            return;
+        }
         for id in 0..self.len() as u32 {
             self.link(id);
         }

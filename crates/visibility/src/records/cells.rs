@@ -2,22 +2,18 @@
 //!
 //! All threads share the cells. What a cell knows is a pure function of the cell and of the records, so it does not matter who asked first;
 //! a cell is filled once, by the tree of records, and forgotten when a record near it comes or goes. A place takes, of the
-//! [`REMEMBERED`] records nearest to the middle of its cell, the [`COMPARED`] nearest to itself, and of these the best by Eq. 2: all at
-//! once (compiled for AVX2, too, with the same results to the bit).
+//! [`RANKED`] records nearest to the middle of its cell, those that are best by Eq. 2 (`ranking`). Many places go together, so that their cells come
+//! from memory at the same time.
 //!
 //! The wrong tool where records stand far closer together than cells are wide: a cell then knows those around its middle alone.
 
 use super::map::Stand;
-use super::neighbours::{Index, NOBODY, weight};
+use super::neighbours::Index;
+use super::ranking::{Candidates, Nearby, RANKED, TOGETHER, best_of_all};
 use super::settings::Falloff;
+use crate::wide::{Machine, wide};
 use glam::{IVec3, Vec3};
 use std::sync::OnceLock;
-
-/// Records that are remembered of a cell.
-const REMEMBERED: usize = 16;
-
-/// The nearest of them to a place, whose weights are compared.
-const COMPARED: u32 = 6;
 
 /// Records that are visited in search of them.
 const VISITED: usize = 64;
@@ -29,25 +25,8 @@ const PROBES: usize = 8;
 const CELLS_A_RECORD: usize = 48;
 const MOST_CELLS: usize = 1 << 18;
 
-/// No record; a cache holds fewer than can be numbered.
-const NOBODY_16: u16 = u16::MAX;
-
 /// Bytes of cells for every record that there may be.
 pub(super) const BYTES_A_RECORD: u64 = 2 * (CELLS_A_RECORD * size_of::<Slot>()) as u64;
-
-/// Up to three records that answer for a place, the best first; weights add up to 1.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Choice {
-    pub(super) ids: [u32; 3],
-    pub(super) weights: [f32; 3],
-}
-
-impl Choice {
-    pub(super) const NONE: Self = Self {
-        ids: [NOBODY; 3],
-        weights: [0.0; 3],
-    };
-}
 
 /// A cell of space and a side of surfaces.
 type Key = (IVec3, u32);
@@ -56,18 +35,18 @@ type Key = (IVec3, u32);
 #[derive(Clone, Copy, Debug)]
 struct Near {
     key: Key,
-    ids: [u16; REMEMBERED],
+    candidates: Candidates,
     /// Farthest from the cell's middle of those that were looked at; infinite if there are no more. What is farther away makes no
     /// difference to the cell.
     reach: f32,
-    /// `d_max` of Eq. 2.
-    d_max: f32,
 }
 
 /// A cell in the table: one cache line.
 #[derive(Debug, Default)]
 #[repr(align(64))]
 struct Slot(OnceLock<Near>);
+
+const _: () = assert!(size_of::<Slot>() == 64);
 
 /// A change of the records.
 #[derive(Clone, Copy, Debug)]
@@ -81,6 +60,7 @@ pub(super) struct Change {
 /// The cells that have been asked about.
 #[derive(Debug)]
 pub(super) struct Cells {
+    machine: Machine,
     slots: Vec<Slot>,
     width: f32,
     /// Changes that the table does not know of yet.
@@ -93,6 +73,7 @@ impl Cells {
         let wanted = (capacity as usize * CELLS_A_RECORD).next_power_of_two();
         let count = wanted.min(MOST_CELLS);
         Self {
+            machine: Machine::detect(),
             slots: (0..count).map(|_| Slot::default()).collect(),
             width: 1.0,
             pending: Vec::new(),
@@ -131,26 +112,45 @@ impl Cells {
         self.pending.clear();
     }
 
-    /// The records that answer for a place.
-    #[inline]
+    /// The records that answer for places with normals.
     pub(super) fn choose(
         &self,
         index: &Index,
         stands: &[Stand],
         falloff: Falloff,
-        position: Vec3,
-        normal: Vec3,
-    ) -> Choice {
-        let key = ((position / self.width).floor().as_ivec3(), side(normal));
-        let found;
-        let near = match self.find(index, stands, key) {
-            Some(near) => near,
-            None => {
-                found = look_around(index, stands, self.width, key);
-                &found
+        places: &[(Vec3, Vec3)],
+        choices: &mut [Nearby],
+    ) {
+        let mut keys = [(IVec3::ZERO, 0); TOGETHER];
+        let mut candidates = [Candidates::NONE; TOGETHER];
+        for (places, choices) in places.chunks(TOGETHER).zip(choices.chunks_mut(TOGETHER)) {
+            find_keys(self.machine, 1.0 / self.width, places, &mut keys);
+            for &key in &keys[..places.len()] {
+                self.fetch(key);
             }
-        };
-        best_of(near, stands, falloff, position, normal)
+            let candidates = &mut candidates[..places.len()];
+            for (candidates, &key) in candidates.iter_mut().zip(&keys) {
+                *candidates = match self.find(index, stands, key) {
+                    Some(near) => near.candidates,
+                    None => look_around(index, stands, self.width, key).candidates,
+                };
+            }
+            best_of_all(self.machine, candidates, stands, falloff, places, choices);
+        }
+    }
+
+    /// Asks memory for the place in the table where a cell most probably lies.
+    #[inline]
+    fn fetch(&self, key: Key) {
+        #[cfg(target_arch = "x86_64")]
+        {
+            use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+            let slot = &self.slots[hash(key) as usize & (self.slots.len() - 1)];
+            // SAFETY: SSE is part of x86-64, and a prefetch touches no memory that the program could observe.
+            unsafe { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(slot).cast()) };
+        }
+        #[cfg(not(target_arch = "x86_64"))]
+        let _ = key;
     }
 
     /// A cell in the table, filled if need be; `None`: there is no room, or the table is not up to date.
@@ -207,25 +207,24 @@ fn look_around(index: &Index, stands: &[Stand], width: f32, key: Key) -> Near {
     let middle = (key.0.as_vec3() + 0.5) * width;
     let mut near = Near {
         key,
-        ids: [NOBODY_16; REMEMBERED],
+        candidates: Candidates::NONE,
         reach: f32::INFINITY,
-        d_max: 0.0,
     };
     let mut count = 0;
     let (mut farthest, mut looked_at) = (0.0, 0.0f32);
     for (visited, (id, distance)) in index.nearest(middle).enumerate() {
         looked_at = looked_at.max(distance);
         if serves(key.1, stands[id as usize].site.normal) {
-            near.ids[count] = id as u16;
+            near.candidates.ids[count] = id as u16;
             farthest = distance;
             count += 1;
         }
-        if count == REMEMBERED || visited + 1 == VISITED {
+        if count == RANKED || visited + 1 == VISITED {
             near.reach = looked_at;
             break;
         }
     }
-    near.d_max = if near.reach.is_finite() {
+    near.candidates.d_max = if near.reach.is_finite() {
         near.reach + width
     } else {
         1.25 * farthest + width
@@ -233,116 +232,16 @@ fn look_around(index: &Index, stands: &[Stand], width: f32, key: Key) -> Near {
     near
 }
 
-/// The weights of a cell's records at a place, as whole numbers: the bits of the weight but for the last four, and those count
-/// down with the rank in the cell. 0: has no say.
-#[inline(always)]
-fn weigh_here(
-    near: &Near,
-    stands: &[Stand],
-    falloff: Falloff,
-    position: Vec3,
-    normal: Vec3,
-) -> [u32; REMEMBERED] {
-    let mut offset = [[0.0; REMEMBERED]; 3];
-    let mut other = [[0.0; REMEMBERED]; 3];
-    for k in 0..REMEMBERED {
-        // Without a record: as if it looked away.
-        let id = near.ids[k];
-        let (there, facing) = match stands.get(usize::from(id)) {
-            Some(stand) => (stand.site.position, stand.site.normal),
-            None => (position, -normal),
-        };
-        for c in 0..3 {
-            offset[c][k] = there[c] - position[c];
-            other[c][k] = facing[c];
+wide! {
+    /// The cells that places lie in.
+    fn find_keys(per_width: f32, places: &[(Vec3, Vec3)], keys: &mut [Key]) {
+        for (&(position, normal), key) in places.iter().zip(keys) {
+            let floor = |x: f32| {
+                let whole = x as i32;
+                whole - i32::from(x < whole as f32)
+            };
+            let p = position * per_width;
+            *key = (IVec3::new(floor(p.x), floor(p.y), floor(p.z)), side(normal));
         }
     }
-    // How far those are that look to the place's side, and how many of them are nearer.
-    let mut apart = [f32::INFINITY; REMEMBERED];
-    for k in 0..REMEMBERED {
-        let distance2: f32 = (0..3).map(|c| offset[c][k] * offset[c][k]).sum();
-        let cosine: f32 = (0..3).map(|c| other[c][k] * normal[c]).sum();
-        apart[k] = if cosine > 0.0 {
-            distance2
-        } else {
-            f32::INFINITY
-        };
-    }
-    let mut nearer = [0u32; REMEMBERED];
-    for other in apart {
-        for k in 0..REMEMBERED {
-            nearer[k] += u32::from(other < apart[k]);
-        }
-    }
-    let mut keys = [0; REMEMBERED];
-    for k in 0..REMEMBERED {
-        let offset = Vec3::new(offset[0][k], offset[1][k], offset[2][k]);
-        let other = Vec3::new(other[0][k], other[1][k], other[2][k]);
-        let w = weight(falloff, normal, other, offset, near.d_max);
-        let counts = apart[k] < f32::INFINITY && nearer[k] < COMPARED && w > 0.0;
-        let bits = (w.to_bits() & !15) | (REMEMBERED - 1 - k) as u32;
-        keys[k] = if counts { bits } else { 0 };
-    }
-    keys
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,bmi1,bmi2")]
-fn best_of_avx2(
-    near: &Near,
-    stands: &[Stand],
-    falloff: Falloff,
-    position: Vec3,
-    normal: Vec3,
-) -> Choice {
-    best_of_here(near, stands, falloff, position, normal)
-}
-
-#[inline(always)]
-fn best_of_here(
-    near: &Near,
-    stands: &[Stand],
-    falloff: Falloff,
-    position: Vec3,
-    normal: Vec3,
-) -> Choice {
-    let mut keys = weigh_here(near, stands, falloff, position, normal);
-    let mut choice = Choice::NONE;
-    for (id, weight) in choice.ids.iter_mut().zip(&mut choice.weights) {
-        let best = keys.iter().fold(0, |a, &b| a.max(b));
-        if best == 0 {
-            break;
-        }
-        for key in &mut keys {
-            *key = if *key == best { 0 } else { *key };
-        }
-        *id = u32::from(near.ids[REMEMBERED - 1 - (best & 15) as usize]);
-        *weight = f32::from_bits(best & !15);
-    }
-    let sum = choice.weights[0] + choice.weights[1] + choice.weights[2];
-    if sum.is_nan() || sum <= 0.0 {
-        return Choice::NONE;
-    }
-    choice.weights = choice.weights.map(|w| w / sum);
-    choice
-}
-
-/// The best three of a cell's records for a place.
-#[inline]
-fn best_of(
-    near: &Near,
-    stands: &[Stand],
-    falloff: Falloff,
-    position: Vec3,
-    normal: Vec3,
-) -> Choice {
-    #[cfg(target_arch = "x86_64")]
-    if std::arch::is_x86_feature_detected!("avx2")
-        && std::arch::is_x86_feature_detected!("bmi1")
-        && std::arch::is_x86_feature_detected!("bmi2")
-    {
-        // SAFETY: the machine has the instructions.
-        return unsafe { best_of_avx2(near, stands, falloff, position, normal) };
-    }
-    best_of_here(near, stands, falloff, position, normal)
 }

@@ -4,13 +4,13 @@
 //! Sky agrees with sky; a point below the other's horizon is not seen.
 //!
 //! All directions go through one step after the other, so that the steps are vectors of numbers and the reads of the maps wait for each other's
-//! arrival together: several times as fast as direction by direction. Compiled for AVX2 and AVX-512, too, with the same results to the bit.
+//! arrival together: several times as fast as direction by direction.
 //!
 //! The wrong tool to compare two maps texel by texel: of 128x128 it looks at a twelfth.
 
-use super::kernel::Machine;
 use super::map::{Map, Stand};
 use super::paraboloid::{Layout, PROBES, SKY, UNKNOWN};
+use crate::wide::{Machine, wide};
 use glam::{Mat3, Vec3};
 
 /// Points that two records see are the same if they are nearer to each other than this many texels.
@@ -33,7 +33,7 @@ struct Pair<'a> {
     other: &'a Map,
 }
 
-/// Share of directions in which the first record sees what the second sees, too. `machine` is this one's or less.
+/// Share of directions in which the first record sees what the second sees, too.
 pub(super) fn agreement(
     machine: Machine,
     layout: &Layout,
@@ -47,77 +47,57 @@ pub(super) fn agreement(
         map,
         other,
     };
-    let agree = match machine {
-        // SAFETY: the machine has the instructions.
-        #[cfg(target_arch = "x86_64")]
-        Machine::Avx512 => unsafe { count_avx512(&pair) },
-        // SAFETY: the machine has the instructions.
-        #[cfg(target_arch = "x86_64")]
-        Machine::Avx2 => unsafe { count_avx2(&pair) },
-        Machine::Any => count(&pair),
-    };
-    agree as f32 / PROBES as f32
+    count(machine, &pair) as f32 / PROBES as f32
 }
 
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,bmi1,bmi2")]
-fn count_avx2(pair: &Pair) -> u32 {
-    count(pair)
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512dq,bmi1,bmi2")]
-fn count_avx512(pair: &Pair) -> u32 {
-    count(pair)
-}
-
-/// Directions in which the second record sees what the first sees.
-#[inline(always)]
-fn count(pair: &Pair) -> u32 {
-    let Layout { scale, probes, .. } = pair.layout;
-    let mut held = [0u16; PROBES];
-    for (held, &texel) in held.iter_mut().zip(&probes.texels) {
-        *held = pair.map.code(texel);
+wide! {
+    /// Directions in which the second record sees what the first sees.
+    fn count(pair: &Pair) -> u32 {
+        let Layout { scale, probes, .. } = pair.layout;
+        let mut held = [0u16; PROBES];
+        for (held, &texel) in held.iter_mut().zip(&probes.texels) {
+            *held = pair.map.code(texel);
+        }
+        // How far the point is from the other record, how exactly both know it, and the texel in which it would be.
+        let mut length = [0.0; PROBES];
+        let mut within = [0.0; PROBES];
+        let mut at = [0i32; PROBES];
+        let mut above = [false; PROBES];
+        let (held_rows, _) = held.as_chunks::<WIDE>();
+        let (length_rows, _) = length.as_chunks_mut::<WIDE>();
+        let (within_rows, _) = within.as_chunks_mut::<WIDE>();
+        let (at_rows, _) = at.as_chunks_mut::<WIDE>();
+        let (above_rows, _) = above.as_chunks_mut::<WIDE>();
+        let [x, y, z] = probes
+            .directions
+            .each_ref()
+            .map(|c| c.as_chunks::<WIDE>().0);
+        for (k, held) in held_rows.iter().enumerate() {
+            locate(
+                pair,
+                [&x[k], &y[k], &z[k]],
+                held,
+                (&mut length_rows[k], &mut within_rows[k]),
+                (&mut at_rows[k], &mut above_rows[k]),
+            );
+        }
+        let mut theirs = [0u16; PROBES];
+        for (theirs, &at) in theirs.iter_mut().zip(&at) {
+            *theirs = pair.other.code(at as u32);
+        }
+        let mut agree = 0;
+        for k in 0..PROBES {
+            let apart = (scale.decode(theirs[k]) - length[k]).abs();
+            let skies = held[k] == SKY || theirs[k] == SKY;
+            let same = if skies {
+                held[k] == theirs[k]
+            } else {
+                apart < within[k]
+            };
+            agree += u32::from(above[k] & (held[k] != UNKNOWN) & same);
+        }
+        agree
     }
-    // How far the point is from the other record, how exactly both know it, and the texel in which it would be.
-    let mut length = [0.0; PROBES];
-    let mut within = [0.0; PROBES];
-    let mut at = [0i32; PROBES];
-    let mut above = [false; PROBES];
-    let (held_rows, _) = held.as_chunks::<WIDE>();
-    let (length_rows, _) = length.as_chunks_mut::<WIDE>();
-    let (within_rows, _) = within.as_chunks_mut::<WIDE>();
-    let (at_rows, _) = at.as_chunks_mut::<WIDE>();
-    let (above_rows, _) = above.as_chunks_mut::<WIDE>();
-    let [x, y, z] = probes
-        .directions
-        .each_ref()
-        .map(|c| c.as_chunks::<WIDE>().0);
-    for (k, held) in held_rows.iter().enumerate() {
-        locate(
-            pair,
-            [&x[k], &y[k], &z[k]],
-            held,
-            (&mut length_rows[k], &mut within_rows[k]),
-            (&mut at_rows[k], &mut above_rows[k]),
-        );
-    }
-    let mut theirs = [0u16; PROBES];
-    for (theirs, &at) in theirs.iter_mut().zip(&at) {
-        *theirs = pair.other.code(at as u32);
-    }
-    let mut agree = 0;
-    for k in 0..PROBES {
-        let apart = (scale.decode(theirs[k]) - length[k]).abs();
-        let skies = held[k] == SKY || theirs[k] == SKY;
-        let same = if skies {
-            held[k] == theirs[k]
-        } else {
-            apart < within[k]
-        };
-        agree += u32::from(above[k] & (held[k] != UNKNOWN) & same);
-    }
-    agree
 }
 
 /// Where the other record would find what the first one sees.
@@ -224,12 +204,10 @@ mod tests {
                 };
             }
             let by = |machine| agreement(machine, &layout, (&here, &map), (&there, &other));
-            let plain = by(Machine::Any);
-            let detected = Machine::detect();
-            assert_eq!(by(detected), plain);
-            #[cfg(target_arch = "x86_64")]
-            if detected == Machine::Avx512 {
-                assert_eq!(by(Machine::Avx2), plain);
+            let machines = Machine::all();
+            let plain = by(machines[0]);
+            for &machine in &machines[1..] {
+                assert_eq!(by(machine), plain, "{machine:?}");
             }
             // Rounding decides on the edge alone.
             let apart = (plain * PROBES as f32) as i32 - agree as i32;

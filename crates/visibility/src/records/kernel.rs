@@ -3,10 +3,11 @@
 //! Ulbrich et al. 2013, section 4.1: a virtual light is judged by the three records near it, by the distance that each holds in the eye's direction. The
 //! wrong tool for few eyes or many lights an eye, where packs stay empty: there a ray costs less.
 //!
-//! Compiled for AVX2 and AVX-512, too, with the same results to the bit. No divisions but one: [`shows`] has them multiplied out.
+//! No divisions but one: [`shows`] has them multiplied out.
 
 use super::paraboloid::{Scale, UNKNOWN};
 use super::rays::shows;
+use crate::wide::wide;
 use glam::Vec3;
 
 /// Eyes that are answered together; a set of them is 16 bits.
@@ -136,139 +137,37 @@ fn agree(pack: &Pack, asked: u16, verdicts: [Verdict; 3], light: Vec3, reach2: f
     }
 }
 
-/// [`judge`] for many packs; those that nobody wants are left out.
-#[inline(always)]
-fn judge_all_here(record: &Record, packs: &[Pack], asked: &[u16], out: &mut [Verdict]) {
-    for ((pack, &asked), out) in packs.iter().zip(asked).zip(out) {
-        if asked != 0 {
-            *out = judge(record, pack);
-        }
-    }
-}
-
-/// [`agree`] for many packs.
-#[inline(always)]
-fn agree_all_here(
-    packs: &[Pack],
-    asked: &[u16],
-    verdicts: &[Vec<Verdict>; 3],
-    (light, reach2): (Vec3, f32),
-    out: &mut [Agreement],
-) {
-    let [a, b, c] = verdicts;
-    let verdicts = a.iter().zip(b).zip(c);
-    for (((pack, &asked), ((&a, &b), &c)), out) in packs.iter().zip(asked).zip(verdicts).zip(out) {
-        *out = if asked == 0 {
-            Agreement::default()
-        } else {
-            agree(pack, asked, [a, b, c], light, reach2)
-        };
-    }
-}
-
-/// The instructions that this machine has.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Machine {
-    #[cfg(target_arch = "x86_64")]
-    Avx512,
-    #[cfg(target_arch = "x86_64")]
-    Avx2,
-    Any,
-}
-
-impl Machine {
-    /// This machine.
-    pub(super) fn detect() -> Self {
-        #[cfg(target_arch = "x86_64")]
-        {
-            use std::arch::is_x86_feature_detected as has;
-            let avx2 = has!("avx2") && has!("bmi1") && has!("bmi2");
-            let wide = has!("avx512f") && has!("avx512bw") && has!("avx512vl") && has!("avx512dq");
-            if avx2 && wide {
-                return Self::Avx512;
-            }
-            if avx2 {
-                return Self::Avx2;
+wide! {
+    /// What a record knows about packs of eyes; those of which nobody is asked about are left as they are.
+    pub(super) fn judge_all(record: &Record, packs: &[Pack], asked: &[u16], out: &mut [Verdict]) {
+        for ((pack, &asked), out) in packs.iter().zip(asked).zip(out) {
+            if asked != 0 {
+                *out = judge(record, pack);
             }
         }
-        Self::Any
     }
 }
 
-#[cfg(target_arch = "x86_64")]
-mod x86 {
-    use super::{Agreement, Pack, Record, Vec3, Verdict};
-
-    #[target_feature(enable = "avx2,bmi1,bmi2")]
-    pub(super) fn judge_avx2(r: &Record, packs: &[Pack], asked: &[u16], out: &mut [Verdict]) {
-        super::judge_all_here(r, packs, asked, out);
-    }
-
-    #[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512dq,bmi1,bmi2")]
-    pub(super) fn judge_avx512(r: &Record, packs: &[Pack], asked: &[u16], out: &mut [Verdict]) {
-        super::judge_all_here(r, packs, asked, out);
-    }
-
-    #[target_feature(enable = "avx2,bmi1,bmi2")]
-    pub(super) fn agree_avx2(
+wide! {
+    /// What three records together say about the eyes that are asked about; nothing about those nearer to the light than the root of
+    /// `near`'s second.
+    pub(super) fn agree_all(
         packs: &[Pack],
         asked: &[u16],
         verdicts: &[Vec<Verdict>; 3],
         near: (Vec3, f32),
         out: &mut [Agreement],
     ) {
-        super::agree_all_here(packs, asked, verdicts, near, out);
-    }
-
-    #[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512dq,bmi1,bmi2")]
-    pub(super) fn agree_avx512(
-        packs: &[Pack],
-        asked: &[u16],
-        verdicts: &[Vec<Verdict>; 3],
-        near: (Vec3, f32),
-        out: &mut [Agreement],
-    ) {
-        super::agree_all_here(packs, asked, verdicts, near, out);
-    }
-}
-
-/// What a record knows about packs of eyes; those of which nobody is asked about are left as they are. `machine` is this one's or less.
-pub(super) fn judge_all(
-    machine: Machine,
-    record: &Record,
-    packs: &[Pack],
-    asked: &[u16],
-    out: &mut [Verdict],
-) {
-    match machine {
-        // SAFETY: the machine has the instructions.
-        #[cfg(target_arch = "x86_64")]
-        Machine::Avx512 => unsafe { x86::judge_avx512(record, packs, asked, out) },
-        // SAFETY: the machine has the instructions.
-        #[cfg(target_arch = "x86_64")]
-        Machine::Avx2 => unsafe { x86::judge_avx2(record, packs, asked, out) },
-        Machine::Any => judge_all_here(record, packs, asked, out),
-    }
-}
-
-/// What three records together say about the eyes that are asked about; nothing about those nearer to the light than the root of
-/// `near`'s second.
-pub(super) fn agree_all(
-    machine: Machine,
-    packs: &[Pack],
-    asked: &[u16],
-    verdicts: &[Vec<Verdict>; 3],
-    near: (Vec3, f32),
-    out: &mut [Agreement],
-) {
-    match machine {
-        // SAFETY: the machine has the instructions.
-        #[cfg(target_arch = "x86_64")]
-        Machine::Avx512 => unsafe { x86::agree_avx512(packs, asked, verdicts, near, out) },
-        // SAFETY: the machine has the instructions.
-        #[cfg(target_arch = "x86_64")]
-        Machine::Avx2 => unsafe { x86::agree_avx2(packs, asked, verdicts, near, out) },
-        Machine::Any => agree_all_here(packs, asked, verdicts, near, out),
+        let [a, b, c] = verdicts;
+        let verdicts = a.iter().zip(b).zip(c);
+        let packs = packs.iter().zip(asked);
+        for (((pack, &asked), ((&a, &b), &c)), out) in packs.zip(verdicts).zip(out) {
+            *out = if asked == 0 {
+                Agreement::default()
+            } else {
+                agree(pack, asked, [a, b, c], near.0, near.1)
+            };
+        }
     }
 }
 
@@ -290,6 +189,7 @@ pub(super) fn transpose(rows: &mut [u16; WIDE]) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::wide::Machine;
 
     #[test]
     fn rows_become_columns() {
@@ -356,12 +256,10 @@ mod tests {
             judge_all(machine, &record, &packs, &asked, &mut out);
             out
         };
-        let plain = judged(Machine::Any);
-        let detected = Machine::detect();
-        assert_eq!(judged(detected), plain);
-        #[cfg(target_arch = "x86_64")]
-        if detected == Machine::Avx512 {
-            assert_eq!(judged(Machine::Avx2), plain);
+        let machines = Machine::all();
+        let plain = judged(machines[0]);
+        for &machine in &machines[1..] {
+            assert_eq!(judged(machine), plain, "{machine:?}");
         }
         let seen: u32 = plain.iter().map(|v| v.seen.count_ones()).sum();
         let known: u32 = plain.iter().map(|v| v.known.count_ones()).sum();

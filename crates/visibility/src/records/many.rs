@@ -3,14 +3,13 @@
 //! Sixteen eyes at a time, record after record (`kernel`).
 
 use super::cache::{Cache, WHOLE_USE};
-use super::cells::Choice;
-use super::kernel::{
-    Agreement, Machine, Pack, Record, Verdict, WIDE, agree_all, judge_all, transpose,
-};
+use super::kernel::{Agreement, Pack, Record, Verdict, WIDE, agree_all, judge_all, transpose};
 use super::map::{Map, Stand};
 use super::neighbours::NOBODY;
+use super::ranking::Nearby;
 use super::rays::SegmentEnd;
 use super::settings::{Lookup, RecordGuarantee, Select};
+use crate::wide::Machine;
 use crate::{
     BLOCK, Correction, EyeSample, LightEnd, ManyLights, Ray, Reason, SharedLight, Tracer,
     VisibilityStats,
@@ -36,7 +35,7 @@ pub(super) struct Scratch {
     corrections: Vec<Correction>,
     /// The lights asked about last, and who answers for them.
     lights: Vec<SharedLight>,
-    choices: Vec<Choice>,
+    choices: Vec<Nearby>,
     version: Option<u64>,
     rays: Vec<Ray>,
     occluded: Vec<bool>,
@@ -84,14 +83,17 @@ pub(super) fn answer<T: Tracer>(
         scratch.lights = lights.to_vec();
         let choose = |light: &SharedLight| match light.end {
             LightEnd::Surface(end) => {
-                let mut choice = cache.choose(end.position, end.normal);
+                if let Some(own) = cache.own(end.position, end.normal) {
+                    return Nearby::alone(own);
+                }
+                let mut choice = cache.nearby(end.position, end.normal);
                 if cache.settings.select == Select::Nearest {
                     choice.ids[1..].fill(NOBODY);
                     choice.weights = [1.0, 0.0, 0.0];
                 }
                 choice
             }
-            _ => Choice::NONE,
+            _ => Nearby::NOBODY,
         };
         scratch.choices = lights.iter().map(choose).collect();
     }
@@ -215,8 +217,12 @@ pub(super) fn answer<T: Tracer>(
     }
 }
 
-/// How near to a light its records have nothing to say.
-fn contact_reach(cache: &Cache, choice: &Choice, light: Vec3) -> f32 {
+/// How near to a light its records have nothing to say; one that stands on it sees what the light sees.
+fn contact_reach(cache: &Cache, choice: &Nearby, light: Vec3) -> f32 {
+    let own = |&id: &u32| id != NOBODY && cache.stands[id as usize].site.origin == light;
+    if choice.ids[1] == NOBODY && own(&choice.ids[0]) {
+        return 0.0;
+    }
     let mut parallax = 0.0;
     for (&id, weight) in choice.ids.iter().zip(choice.weights) {
         if id != NOBODY {
@@ -228,7 +234,7 @@ fn contact_reach(cache: &Cache, choice: &Choice, light: Vec3) -> f32 {
 
 /// Why the records of a light do not know whether an eye sees it: the light's place, and the square of how near to it they have nothing to
 /// say.
-fn silent(cache: &Cache, choice: &Choice, (light, reach2): (Vec3, f32), eye: Vec3) -> Reason {
+fn silent(cache: &Cache, choice: &Nearby, (light, reach2): (Vec3, f32), eye: Vec3) -> Reason {
     let records = || choice.ids.iter().filter(|&&id| id != NOBODY);
     let above = |&id: &u32| {
         let stand = &cache.stands[id as usize];
@@ -297,7 +303,7 @@ fn settle<T: Tracer>(
     eyes: &[EyeSample],
     light: &SharedLight,
     l: u32,
-    choice: &Choice,
+    choice: &Nearby,
 ) {
     let near = cache.settings.near;
     let unbiased = cache.settings.guarantee == RecordGuarantee::Unbiased;

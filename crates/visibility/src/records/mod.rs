@@ -9,6 +9,9 @@
 //! most important, where importance weighs how little a record agrees with its neighbours against how often it is used (Eq. 1).
 //! The text of section 3.2 says of alpha the wrong way round what its formula says: here, as in the formula, 0 is correlation alone.
 //!
+//! Beyond the paper, records may stand on the virtual lights themselves ([`Placement::Lights`]): with no more lights than records that answers best,
+//! and the cache is what a map a light would be.
+//!
 //! Invariants: never more records than [`RecordSettings::capacity`], hence never more bytes; records change between passes only; uses are
 //! counted in whole numbers: so what is answered does not depend on threads.
 //!
@@ -23,6 +26,7 @@ mod many;
 mod map;
 mod neighbours;
 mod paraboloid;
+mod ranking;
 mod rays;
 mod refine;
 mod settings;
@@ -31,9 +35,12 @@ mod views;
 
 pub use cache::{Cache, PathSite, RecordsReport, Scout, WHOLE_USE};
 pub use map::{DistanceTracer, Seen, Site};
-pub use rays::{Aim, CachedSurface, Nearby, RayAnswer, RecordsReader, SegmentAim, SegmentEnd};
+pub use ranking::Nearby;
+pub use rays::{Aim, CachedSurface, RayAnswer, RecordsReader, SegmentAim, SegmentEnd};
 pub use refine::StepTimes;
-pub use settings::{Falloff, Lookup, RecordGuarantee, RecordSettings, RecordsError, Select};
+pub use settings::{
+    Falloff, Lookup, Placement, RecordGuarantee, RecordSettings, RecordsError, Select,
+};
 pub use state::StateError;
 pub use views::RecordView;
 
@@ -144,10 +151,15 @@ impl<T: DistanceTracer> Visibility<T> for Records {
 
     fn prepare(&self, tracer: &T, lights: &[SharedLight], scout: &mut dyn Scout) {
         let mut cache = self.cache_mut();
+        let lights = PathSite::on_lights(lights);
+        let fit = lights.len() <= cache.settings().capacity as usize;
+        if cache.settings().placement == Placement::Lights && fit {
+            cache.take_restored();
+            return cache.stand_on(tracer, &lights);
+        }
         if cache.take_restored() {
             return;
         }
-        let lights = PathSite::on_lights(lights);
         let steps = if cache.is_empty() {
             let lights = &lights;
             cache.place_initial(tracer, &mut WithLights { scout, lights });

@@ -7,10 +7,10 @@
 //! (Ulbrich 2013, section 6).
 
 use super::cache::{Cache, WHOLE_USE};
-use super::cells::Choice;
 use super::map::{Map, Texel};
 use super::neighbours::NOBODY;
 use super::paraboloid::{SKY, UNKNOWN};
+use super::ranking::Nearby;
 use super::settings::{Lookup, Select};
 use crate::Reason;
 use glam::Vec3;
@@ -98,14 +98,10 @@ pub struct SegmentAim {
     end: SegmentEnd,
 }
 
-/// The records that answer for a place.
-#[derive(Clone, Copy, Debug)]
-pub struct Nearby(Choice);
-
 impl Nearby {
     /// Nobody does.
     pub fn is_empty(&self) -> bool {
-        self.0.ids[0] == NOBODY
+        self.ids[0] == NOBODY
     }
 
     /// Why none of them has a say.
@@ -134,11 +130,6 @@ impl Cache {
         reader.uses.clear();
     }
 
-    /// The records that answer for a place.
-    pub fn nearby(&self, position: Vec3, normal: Vec3) -> Nearby {
-        Nearby(self.choose(position, normal))
-    }
-
     /// The record that a ray question along a unit vector goes to: `random` (0 to 1) chooses among three. Its use counts `weight`.
     /// An error: nobody knows.
     pub fn aim(
@@ -151,7 +142,7 @@ impl Cache {
     ) -> Result<Aim, Reason> {
         // Directions below a record's horizon are not its business.
         let valid = |id: u32| self.stands[id as usize].frame.z_axis.dot(direction) > 0.0;
-        let id = pick(&nearby.0, self.settings.select, random, valid).ok_or(nearby.silent())?;
+        let id = pick(nearby, self.settings.select, random, valid).ok_or(nearby.silent())?;
         reader.uses[id as usize] += (weight * WHOLE_USE as f32) as u64;
         let d = self.stands[id as usize].local(direction);
         let texel = self.layout.texel(d.x, d.y, 1.0 + d.z);
@@ -175,7 +166,7 @@ impl Cache {
             }
         };
         let valid = |id: u32| self.stands[id as usize].frame.z_axis.dot(offset(id)) > 0.0;
-        let id = pick(&nearby.0, self.settings.select, random, valid).ok_or(nearby.silent())?;
+        let id = pick(nearby, self.settings.select, random, valid).ok_or(nearby.silent())?;
         reader.uses[id as usize] += (weight * WHOLE_USE as f32) as u64;
         let p = self.stands[id as usize].local(offset(id));
         let texel = self.layout.texel(p.x, p.y, p.length() + p.z);
@@ -383,7 +374,7 @@ impl Cache {
         weight: f32,
     ) -> Option<f32> {
         let (mut seen, mut sum) = (0.0, 0.0);
-        for (&id, w) in nearby.0.ids.iter().zip(nearby.0.weights) {
+        for (&id, w) in nearby.ids.iter().zip(nearby.weights) {
             if id == NOBODY {
                 break;
             }
@@ -509,7 +500,7 @@ pub(super) fn shows(held: f32, length: f32, here: f32, there: [f32; 2], footprin
 }
 
 /// One of three records, among those that are valid.
-fn pick(choice: &Choice, select: Select, random: f32, valid: impl Fn(u32) -> bool) -> Option<u32> {
+fn pick(choice: &Nearby, select: Select, random: f32, valid: impl Fn(u32) -> bool) -> Option<u32> {
     let mut weights = choice.weights;
     for (weight, &id) in weights.iter_mut().zip(&choice.ids) {
         if id == NOBODY || !valid(id) {

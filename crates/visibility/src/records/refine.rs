@@ -2,10 +2,10 @@
 
 use super::cache::{Cache, PathSite, Slot};
 use super::correlation;
-use super::kernel::Machine;
 use super::map::{self, DistanceTracer, Map, Site, Stand};
 use super::neighbours::{self, NEIGHBOURS, NOBODY, enter};
 use crate::Ray;
+use crate::wide::Machine;
 use glam::Vec2;
 use std::sync::atomic::AtomicU64;
 use std::time::{Duration, Instant};
@@ -117,7 +117,7 @@ impl Cache {
     /// that, beyond the paper, places that nobody answers for get one: steps around records would hardly ever come there.
     /// Returns whether a place was found.
     pub fn refine<T: DistanceTracer>(&mut self, tracer: &T) -> bool {
-        if self.is_empty() {
+        if !self.can_improve() {
             return false;
         }
         let mut times = self.report.steps;
@@ -256,7 +256,7 @@ impl Cache {
         while !self.unserved.is_empty() {
             let any = self.random.next() as usize % self.unserved.len();
             let site = self.unserved.swap_remove(any);
-            if self.choose(site.position, site.normal).ids[0] == NOBODY {
+            if self.nearby(site.position, site.normal).ids[0] == NOBODY {
                 return Some(Stand::new(site));
             }
         }

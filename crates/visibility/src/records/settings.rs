@@ -26,6 +26,18 @@ pub enum Lookup {
     March,
 }
 
+/// Where records stand that answer for virtual lights.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Placement {
+    /// Along paths from the camera, and where steps take them (Ulbrich 2013): however many lights there are.
+    #[default]
+    Paths,
+    /// On the lights themselves, one on each, as long as there are no more lights than records: the map of a light's own place is asked by
+    /// nobody else, so there is nothing to interpolate, nothing near that the light sees otherwise than its record, and nothing to
+    /// refine. Else as `Paths`.
+    Lights,
+}
+
 /// The function that tells which records belong together: Eq. 2 with one of two spatial terms, `x = d / d_max`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Falloff {
@@ -56,6 +68,8 @@ pub struct RecordSettings {
     pub initial: u32,
     /// Texels along the side of a map, a power of two, 8 to 1024.
     pub resolution: u32,
+    /// Where they stand.
+    pub placement: Placement,
     /// Keep what is seen, too (normals and albedo), so that paths can go on inside the cache: 8 bytes a texel instead of 2.
     pub surfaces: bool,
     /// Weight of use against correlation in a record's importance, 0 to 1 (Eq. 1): at 0 records go where visibility changes, at 1
@@ -99,6 +113,7 @@ impl Default for RecordSettings {
             capacity: 4000,
             initial: u32::MAX,
             resolution: 128,
+            placement: Placement::default(),
             surfaces: false,
             alpha: 0.6,
             steps: 0,

@@ -286,7 +286,7 @@ fn cells_know_what_the_tree_knows() {
     let mut sites = Vec::new();
     Walks(&world, Random(41)).draw(3000, &mut sites);
     let choices = |cache: &Cache| -> Vec<_> {
-        let choose = |place: &PathSite| cache.choose(place.site.position, place.site.normal);
+        let choose = |place: &PathSite| cache.nearby(place.site.position, place.site.normal);
         sites.iter().map(choose).collect()
     };
     let mut placed = 0;

@@ -45,7 +45,8 @@ pub(super) fn advance_exactly(world: &World, limits: PathLimits, scratch: &mut p
                     contribution,
                 });
             };
-            if scatter(world, limits, path, &surface, &mut ask).is_none() {
+            let ends = path.depth >= limits.max_depth;
+            if ends || scatter(world, path, &surface, &mut ask).is_none() {
                 break;
             }
         }
