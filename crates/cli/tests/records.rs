@@ -109,6 +109,35 @@ fn shards_of_fixed_records_make_the_whole() {
     }
 }
 
+/// Without a word about paths, records stand on the virtual lights: they stay there, so parts make the whole.
+#[test]
+fn records_stand_on_virtual_lights() {
+    let dir = cornell();
+    let command = format!("{INSTANT} --visibility records:resolution=32");
+    dir.must(&format!("{command} --samples 4 -o w.exr --stats w.json"));
+    let stats = dir.json("w.json");
+    let lights = &stats["vpls"];
+    assert!(lights.as_u64().unwrap() > 10);
+    assert_eq!(&stats["records"]["count"], lights);
+    assert_eq!(stats["records"]["refinements"], 0);
+    assert_eq!(stats["records"]["unanswered"]["too_near"], 0);
+    for shard in 0..2 {
+        dir.must(&format!(
+            "{command} --samples 4 --shard {shard}/2 -o w{shard}.exr"
+        ));
+    }
+    dir.must("merge w1.exr w0.exr -o m.exr");
+    assert!(dir.read("w.exr") == dir.read("m.exr"), "parts show");
+    // Fewer records than lights, or a word about paths: near the lights.
+    for option in ["count=8", "steps=3", "place=paths"] {
+        dir.must(&format!(
+            "{INSTANT} --visibility records:resolution=32,{option} -o p.exr --stats p.json"
+        ));
+        let records = &dir.json("p.json")["records"];
+        assert!(records["refinements"].as_u64().unwrap() > 0, "{option}");
+    }
+}
+
 /// Interrupted, and gone on with: the cache is what it was.
 #[cfg(unix)]
 #[test]
@@ -261,7 +290,7 @@ fn wrong_choices_are_refused() {
         &["--record-views"],
     );
     dir.refuses(
-        &format!("{} --shard 0/2", instant("")),
+        &format!("{} --shard 0/2", instant("steps=3")),
         &["--shard", "pace=0"],
     );
     dir.refuses(
@@ -270,6 +299,7 @@ fn wrong_choices_are_refused() {
     );
     for bad in [
         "from=1",
+        "place=here",
         "select=best",
         "lookup=guess",
         "near=-1",
@@ -285,7 +315,7 @@ fn wrong_choices_are_refused() {
 fn a_camera_that_sees_nothing_is_warned_of() {
     let dir = cornell();
     let run = dir.must(&format!(
-        "{INSTANT} -o a.exr --visibility records --camera-look 0,0.2,9,0,0.2,20"
+        "{INSTANT} -o a.exr --visibility records:place=paths --camera-look 0,0.2,9,0,0.2,20"
     ));
     assert!(
         run.stderr.contains("warning: no place for records"),

@@ -404,6 +404,7 @@ impl Cache {
         let places: Vec<&PathSite> = (places.iter())
             .filter(|place| place.is_sound() && wanted.insert(key(&place.site)))
             .collect();
+        let before = self.len();
         let mut id = 0;
         while id < self.len() {
             // Asked for already: the place needs no other.
@@ -417,6 +418,9 @@ impl Cache {
             .filter(|place| wanted.contains(&key(&place.site)))
             .map(|place| Stand::new(place.site))
             .collect();
+        if new.is_empty() && self.len() == before {
+            return;
+        }
         let (surfaces, threads) = (self.settings.surfaces, self.settings.threads);
         let maps = map::fill_all(tracer, &self.layout, &new, surfaces, threads);
         self.report.fill_rays += (new.len() * self.layout.texels.len()) as u64;

@@ -39,7 +39,7 @@ const LOOKS: usize = 3;
 const ROUNDED: f32 = 0.02;
 
 /// How uneven a surface may be within a texel, in footprints: against shadows of surfaces on themselves.
-const UNEVEN: f32 = 0.1;
+const UNEVEN: f32 = 0.4;
 
 /// A surface that a record sees.
 #[derive(Clone, Copy, Debug, PartialEq)]

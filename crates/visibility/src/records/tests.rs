@@ -2,7 +2,7 @@
 
 use super::cache::Random;
 use super::*;
-use crate::{Ray, Reason, Tracer};
+use crate::{Endpoint, EveryLight, Ray, Reason, Session, Tracer};
 use glam::Vec3;
 
 /// Solid boxes.
@@ -589,4 +589,122 @@ fn who_is_not_served_gets_a_record() {
     cache.refine_before(&world, 100, &mut |pilots| pilots.extend(&lights));
     assert!(alone(&cache) < 10, "{}", alone(&cache));
     assert!(cache.len() <= 100 && cache.unserved.is_empty());
+}
+
+/// Lights along walls, and points in the room that ask about them.
+fn lights_and_eyes(world: &Boxes) -> (Vec<SharedLight>, Vec<EyeSample>) {
+    let mut places = Vec::new();
+    Walks(world, Random(21)).draw(700, &mut places);
+    let end = |place: &PathSite| Endpoint::new(place.site.position, place.site.normal, 1.0);
+    let lights = places.iter().take(60).map(|place| SharedLight {
+        end: LightEnd::Surface(end(place)),
+        target: Some(place.site.origin),
+        connections: 64.0,
+    });
+    let eyes = places.iter().skip(60).map(|place| EyeSample {
+        end: end(place),
+        origin: place.site.origin,
+    });
+    (lights.collect(), eyes.collect())
+}
+
+/// What records say about all lights and eyes.
+fn sights(
+    world: &Boxes,
+    records: &Records,
+    (lights, eyes): &(Vec<SharedLight>, Vec<EyeSample>),
+) -> (Vec<f32>, VisibilityStats) {
+    let mut sight = vec![0.0; eyes.len() * lights.len()];
+    let mut session = Session::new(world, records);
+    let mut add = EveryLight(lights.len(), |eye, light, visible| {
+        sight[eye * lights.len() + light] = visible;
+    });
+    session.answer_many(eyes, lights, &mut add);
+    (sight, session.stats())
+}
+
+/// One record on each light: it is asked alone, nothing is traced, and it errs less often than the records along paths around it.
+#[test]
+fn records_stand_on_lights_while_there_are_enough() {
+    let world = Boxes::room();
+    let questions = lights_and_eyes(&world);
+    let (lights, eyes) = &questions;
+    let wrong = |placement, capacity, resolution, threads| {
+        let records = Records::new(RecordSettings {
+            placement,
+            resolution,
+            threads,
+            contact: 0.0,
+            ..settings(capacity)
+        })
+        .unwrap();
+        records.prepare(&world, lights, &mut Walks(&world, Random(7)));
+        let (sight, stats) = sights(&world, &records, &questions);
+        let pairs = eyes
+            .iter()
+            .flat_map(|eye| lights.iter().map(move |light| (eye, light)));
+        // Weighted by what light they bring.
+        let (mut off, mut sum) = (0.0, 0.0);
+        for ((eye, light), &sight) in pairs.zip(&sight) {
+            let LightEnd::Surface(there) = light.end else {
+                unreachable!("lights lie on surfaces");
+            };
+            let way = there.position - eye.end.position;
+            let cosines = eye.end.normal.dot(way).max(0.0) * there.normal.dot(-way).max(0.0);
+            let weight = cosines / way.length_squared();
+            let exact = !world.occluded(&light.ray_from(eye.origin));
+            off += weight * (sight - f32::from(exact)).abs();
+            sum += weight;
+        }
+        let count = records.cache().len();
+        (off / sum, stats, count, sight)
+    };
+    let (own, stats, count, sight) = wrong(Placement::Lights, 200, 64, 1);
+    assert_eq!(count, lights.len());
+    // Those alone that lie below a light's horizon.
+    assert!(stats.unanswered.too_near == 0 && stats.unanswered.no_record == 0);
+    let (along_paths, ..) = wrong(Placement::Paths, 60, 64, 1);
+    let (fine, ..) = wrong(Placement::Lights, 200, 256, 1);
+    assert!(own < 0.02 && own < 0.5 * along_paths, "{own} {along_paths}");
+    // What is left is as wide as texels are.
+    assert!(fine < 0.4 * own, "{fine} {own}");
+    assert_eq!(wrong(Placement::Lights, 200, 64, 3).3, sight);
+    // Too few for all: as if nobody had asked for it.
+    let few = wrong(Placement::Lights, 40, 64, 1);
+    assert_eq!(few.3, wrong(Placement::Paths, 40, 64, 1).3);
+    assert!(few.2 <= 40);
+}
+
+/// Lights come and go from picture to picture: records follow, those of lights that stay do so, too, and steps leave them where they are.
+#[test]
+fn records_follow_lights() {
+    let world = Boxes::room();
+    let (mut lights, eyes) = lights_and_eyes(&world);
+    let records = Records::new(RecordSettings {
+        placement: Placement::Lights,
+        ..settings(50)
+    })
+    .unwrap();
+    let later = lights.split_off(40);
+    let mut scout = Walks(&world, Random(7));
+    records.prepare(&world, &lights, &mut scout);
+    let filled = records.cache().report().fill_rays;
+    records.prepare(&world, &lights, &mut scout);
+    assert_eq!(records.cache().report().fill_rays, filled);
+    lights.truncate(30);
+    lights.extend(&later[..15]);
+    // Twice the same light is one place.
+    lights.push(lights[0]);
+    records.prepare(&world, &lights, &mut scout);
+    assert_eq!(records.cache().len(), 45);
+    let each = filled / 40;
+    assert_eq!(records.cache().report().fill_rays, filled + 15 * each);
+    let anew = Records::new(records.cache().settings().clone()).unwrap();
+    anew.prepare(&world, &lights, &mut scout);
+    let questions = (lights, eyes);
+    let (seen, _) = sights(&world, &records, &questions);
+    assert_eq!(sights(&world, &anew, &questions).0, seen);
+    Visibility::<Boxes>::pass_done(&records, &world);
+    assert_eq!(records.cache().report().steps.steps, 0);
+    assert_eq!(sights(&world, &records, &questions).0, seen);
 }
