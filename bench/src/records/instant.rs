@@ -6,7 +6,7 @@ use super::{Plan, reasons};
 use crate::common::{Report, Row, Setting, median, thread_seconds};
 use crate::quantized::figure;
 use crate::quantized::quality::quality;
-use crate::quantized::shot::{Stage, Task, instant_radiosity, interleave};
+use crate::quantized::shot::{Shot, Stage, Task, instant_radiosity, interleave};
 use crate::quantized::{fixed, percent};
 use glam::Vec2;
 use occlude_visibility::records::{DistanceTracer, Placement, RecordSettings, Records, Scout};
@@ -25,40 +25,23 @@ pub fn run(
     if let Some(bound) = costs(setting, plan, report, name, stage) {
         per_light::frames(plan, report, name, stage, bound);
     }
-    // What the command has, and what the paper has: of those along paths as many as pay, since filling 4000 takes longer than tracing the frame.
-    let on_lights = RecordSettings {
-        placement: Placement::Lights,
-        ..settings(stage, plan, false)
-    };
-    for resolution in [64, 128, 256] {
+    // What the command does, in its own resolution and in others; and what the paper does, along paths with as many records as pay: filling 4000
+    // takes longer than tracing the frame.
+    let usual = settings(stage, plan, false);
+    for resolution in [usual.resolution, 64, 256] {
         let on_lights = RecordSettings {
+            placement: Placement::Lights,
             resolution,
-            ..on_lights.clone()
+            ..usual.clone()
         };
-        frames(
-            setting,
-            plan,
-            report,
-            measured,
-            stage,
-            "on lights",
-            &on_lights,
-        );
+        frames(setting, plan, report, measured, stage, &on_lights);
     }
     let along_paths = RecordSettings {
         capacity: plan.count / 4,
         steps: plan.count / 16,
-        ..settings(stage, plan, false)
+        ..usual
     };
-    frames(
-        setting,
-        plan,
-        report,
-        measured,
-        stage,
-        "along paths",
-        &along_paths,
-    );
+    frames(setting, plan, report, measured, stage, &along_paths);
 }
 
 /// Eyes of some tiles, and lights at the vertices of paths.
@@ -189,9 +172,12 @@ fn frames(
     report: &mut Report,
     measured: &Measured,
     stage: &Stage,
-    placed: &str,
     settings: &RecordSettings,
 ) {
+    let placed = match settings.placement {
+        Placement::Lights => "on lights",
+        Placement::Paths => "along paths",
+    };
     let name = measured.subject.name;
     let task = Task {
         integrator: instant_radiosity(8, plan.vpls),
@@ -217,10 +203,14 @@ fn frames(
         return;
     };
     let (te, tc) = (exact.seconds().0, cached.seconds().0);
+    let sum = |shot: &Shot| f64::from(shot.picture.pixels.iter().flatten().sum::<f32>());
     let ready = last.unwrap_or_default();
     let whole = te / tc;
     report.row(Row {
-        name: format!("instant radiosity, records {placed}"),
+        name: format!(
+            "instant radiosity, records {placed}, {} texels",
+            settings.resolution
+        ),
         scene: name.into(),
         value: tc,
         unit: "s".into(),
@@ -262,12 +252,16 @@ fn frames(
             format!("x{}", fixed(te / (tc - ready).max(1e-9))),
             percent(c.report.visibility.traced as f64 / c.report.visibility.queries as f64),
             reasons(&c.report.visibility.unanswered),
-            percent(q.energy),
-            fixed(q.flip),
+            percent(sum(c) / sum(e) - 1.0),
+            format!("{:.4}", q.flip),
             format!("{:.2e}", q.relmse),
         ],
     );
-    let label = format!("{name}-instant-{}", placed.replace(' ', "-"));
+    let label = format!(
+        "{name}-{}-{}",
+        placed.replace(' ', "-"),
+        settings.resolution
+    );
     let shown = (label.as_str(), task.samples);
     if let Err(error) = figure::show(setting, report, shown, e, c, &q) {
         report.note(format!("{name}: {error}"));

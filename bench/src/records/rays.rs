@@ -9,8 +9,16 @@ use crate::quantized::shot::{Shot, Stage, Task, interleave};
 use crate::quantized::{fixed, percent};
 use glam::Vec3;
 use occlude_render::integrator::{Integrator, PathLimits, Secondary};
-use occlude_visibility::records::{Cache, Nearby, RayAnswer, RecordSettings, RecordsReader, Site};
+use occlude_visibility::records::{
+    Cache, DistanceTracer, Nearby, RayAnswer, RecordSettings, RecordsReader, Seen, Site,
+};
 use occlude_visibility::{Exact, Ray};
+
+/// Secondary rays that are worth a record, as the command has it.
+const RAYS_A_RECORD: f64 = 4e4;
+
+/// Texels along the side of maps for paths, as the command has it.
+const PATH_RESOLUTION: u32 = 64;
 
 /// Questions that look into their records together, as the integrator has it.
 const TOGETHER: usize = 64;
@@ -63,72 +71,28 @@ pub fn run(
     let name = measured.subject.name;
     let count = if setting.quick { 1 << 14 } else { 1 << 18 };
     let rays = bounces(stage, plan, count);
-    let cache = placed(
-        stage,
-        plan,
-        RecordSettings {
-            resolution: 64,
-            ..settings(stage, plan, true)
-        },
-    );
-    if rays.is_empty() || cache.is_empty() {
-        return report.note(format!("{name}: nothing to ask"));
+    // As coarse as the command has them for paths, and as the paper has them.
+    for resolution in [PATH_RESOLUTION, 128] {
+        rates(plan, report, measured, stage, &rays, resolution);
     }
-    let mut reader = RecordsReader::default();
-    cache.begin_reading(&mut reader);
-    // What a worker learns of the records near its places, once for many passes.
-    by_records(&cache, &mut reader, &rays);
-    let traced: Vec<Ray> = rays
-        .iter()
-        .map(|(site, d)| Ray::new(site.origin, *d))
-        .collect();
-    let mut hits = vec![None; traced.len()];
-    let (mut exact, mut cached, mut unknown) = (Vec::new(), Vec::new(), 0.0);
-    for k in 0..plan.repetitions.max(3) {
-        let began = thread_seconds();
-        for (rays, hits) in traced.chunks(1024).zip(hits.chunks_mut(1024)) {
-            stage.geometry.closest_batch(rays, hits);
-        }
-        exact.push(rays.len() as f64 / (thread_seconds() - began) / 1e6);
-        let (seconds, share) = by_records(&cache, &mut reader, &rays);
-        cached.push(rays.len() as f64 / seconds / 1e6);
-        unknown = share;
-        for (what, all) in [("exact", &exact), ("records", &cached)] {
-            report.raw(&format!("rays,{name},{k},{what},{},Mrays/s", all[k]));
-        }
-    }
-    let ((e, _), (c, spread)) = (median(&exact), median(&cached));
-    report.row(Row {
-        name: "secondary rays by records".into(),
-        scene: name.into(),
-        value: c,
-        unit: "Mrays/s, a core".into(),
-        baseline: Some(e),
-        ratio: Some(c / e),
-        spread: Some(spread),
-        bar: measured.rays_bar.map(|bar| format!(">= {bar} x")),
-        holds: measured.rays_bar.map(|bar| c / e >= bar),
-    });
-    report.note(format!(
-        "{name}: records have no answer to {} of the rays",
-        percent(unknown)
-    ));
-    drop(cache);
 
     let task = Task {
         integrator: Integrator::Path(PathLimits::new(8)),
         size: plan.half(),
-        samples: plan.samples,
+        samples: 4 * plan.samples,
         seed: plan.seed,
         single_passes: false,
     };
+    // As many as the command has: a record for so many rays.
+    let paths = f64::from(task.size[0] * task.size[1] * task.samples);
+    let count = (2.0 * paths / RAYS_A_RECORD).max(128.0) as u32;
     for from in [1, 2] {
-        // As many as pay, and as coarse as the command has them for paths.
         let records = || {
             let settings = RecordSettings {
-                capacity: plan.count / 8,
-                steps: plan.count / 32,
-                resolution: 64,
+                capacity: plan.count,
+                initial: count,
+                steps: count / 4,
+                resolution: PATH_RESOLUTION,
                 ..settings(stage, plan, true)
             };
             Secondary::new(settings, from).expect("legal settings")
@@ -181,16 +145,92 @@ pub fn run(
                 percent(c.report.secondary.traced as f64 / c.report.secondary.asked.max(1) as f64),
                 reasons(&c.report.secondary.unanswered),
                 percent(mean(c) / mean(e) - 1.0),
-                fixed(q.flip),
+                format!("{:.4}", q.flip),
             ],
         );
         let label = format!("{name}-from{from}");
-        let shown = (label.as_str(), plan.samples);
+        let shown = (label.as_str(), task.samples);
         if let Err(error) = figure::show(setting, report, shown, e, c, &q) {
             report.note(format!("{name}: {error}"));
         }
     }
     upkeep(plan, report, name, stage);
+}
+
+/// Millions of questions a second on one core, exact and by records, in turn.
+fn rates(
+    plan: &Plan,
+    report: &mut Report,
+    measured: &Measured,
+    stage: &Stage,
+    rays: &[(Site, Vec3)],
+    resolution: u32,
+) {
+    let name = measured.subject.name;
+    let settings = RecordSettings {
+        resolution,
+        ..settings(stage, plan, true)
+    };
+    let cache = placed(stage, plan, settings);
+    if rays.is_empty() || cache.is_empty() {
+        return report.note(format!("{name}: nothing to ask"));
+    }
+    let mut reader = RecordsReader::default();
+    cache.begin_reading(&mut reader);
+    // What a worker learns of the records near its places, once for many passes.
+    by_records(&cache, &mut reader, rays);
+    let traced: Vec<Ray> = rays
+        .iter()
+        .map(|(site, d)| Ray::new(site.origin, *d))
+        .collect();
+    let mut hits = vec![None; traced.len()];
+    let mut seen = vec![Seen::NOTHING; traced.len()];
+    let mut unknown = 0.0;
+    let [mut exact, mut surfaces, mut cached] = [const { Vec::new() }; 3];
+    for k in 0..plan.repetitions.max(3) {
+        let mut rate = |what: &str, rates: &mut Vec<f64>, seconds: f64| {
+            let rate = rays.len() as f64 / seconds / 1e6;
+            report.raw(&format!(
+                "rays,{name},{k},{what} {resolution},{rate},Mrays/s"
+            ));
+            rates.push(rate);
+        };
+        let began = thread_seconds();
+        for (rays, hits) in traced.chunks(1024).zip(hits.chunks_mut(1024)) {
+            stage.geometry.closest_batch(rays, hits);
+        }
+        rate("exact", &mut exact, thread_seconds() - began);
+        let began = thread_seconds();
+        for (rays, seen) in traced.chunks(1024).zip(seen.chunks_mut(1024)) {
+            stage.geometry.surfaces(rays, seen);
+        }
+        rate(
+            "exact with normal and albedo",
+            &mut surfaces,
+            thread_seconds() - began,
+        );
+        let (seconds, share) = by_records(&cache, &mut reader, rays);
+        rate("records", &mut cached, seconds);
+        unknown = share;
+    }
+    let ((e, _), (s, _), (c, spread)) = (median(&exact), median(&surfaces), median(&cached));
+    report.row(Row {
+        name: format!("secondary rays by records, {resolution} texels"),
+        scene: name.into(),
+        value: c,
+        unit: "Mrays/s, a core".into(),
+        baseline: Some(e),
+        ratio: Some(c / e),
+        spread: Some(spread),
+        bar: measured.rays_bar.map(|bar| format!(">= {bar} x")),
+        holds: measured.rays_bar.map(|bar| c / e >= bar),
+    });
+    report.note(format!(
+        "{name}, {resolution} texels: records have no answer to {} of the rays; against exact rays that find normal and albedo, too, as records do, {} Mrays/s: x{}",
+        percent(unknown),
+        fixed(s),
+        fixed(c / s),
+    ));
 }
 
 /// What all the records there may be take between passes, one step included.
@@ -203,7 +243,7 @@ fn upkeep(plan: &Plan, report: &mut Report, name: &str, stage: &Stage) {
         single_passes: false,
     };
     let records = RecordSettings {
-        resolution: 64,
+        resolution: PATH_RESOLUTION,
         pace: 1,
         ..settings(stage, plan, true)
     };

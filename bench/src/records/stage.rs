@@ -56,7 +56,7 @@ pub const SUBJECTS: &[Measured] = &[
         ..measured("pine_forest", Source::File("pine_forest.glb", None))
     },
     Measured {
-        topics: &["fill", "rays", "instant"],
+        topics: &["fill", "rays", "instant", "modes"],
         rays_bar: Some(5.0),
         instant_bar: Some(4.0),
         fill_bar: Some(4.0),

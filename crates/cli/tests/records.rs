@@ -257,6 +257,22 @@ fn frames_keep_records_and_views_are_written() {
     assert!((40..=90).contains(&steps), "{steps}");
 }
 
+/// What records take by the system's account, not by our own.
+#[cfg(target_os = "linux")]
+#[test]
+fn records_take_the_memory_that_they_tell_of() {
+    let dir = cornell();
+    let render = |options: &str| dir.must(&format!("{INSTANT} -o a.exr {options}"));
+    let without = render("").peak_bytes;
+    let records = "--visibility records:place=paths,count=2000,steps=40 --stats a.json";
+    let with = render(records).peak_bytes - without;
+    let told = dir.json("a.json")["records"]["bytes"].as_u64().unwrap();
+    assert!(told >= 2000 * 128 * 128 * 2);
+    assert!(with <= told, "{with} of {told}");
+    // And they are there.
+    assert!(with >= told / 2, "{with} of {told}");
+}
+
 #[test]
 fn wrong_choices_are_refused() {
     let dir = cornell();

@@ -269,10 +269,14 @@ impl Cache {
         }
         let falloff = self.settings.falloff;
         (self.cells).choose(&self.index, &self.stands, falloff, places, found);
+        let reach2 = self.reach().powi(2);
         for ((position, _), found) in places.iter().zip(found) {
             let id = found.ids[0];
-            let near = id != NOBODY
-                && self.stands[id as usize].site.position.distance(*position) < self.reach();
+            let apart2 = |id: u32| {
+                let there = self.stands[id as usize].site.position;
+                there.distance_squared(*position)
+            };
+            let near = id != NOBODY && apart2(id) < reach2;
             if !near {
                 *found = Nearby::NOBODY;
             }

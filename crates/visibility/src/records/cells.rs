@@ -14,6 +14,7 @@ use super::settings::Falloff;
 use crate::wide::{Machine, wide};
 use glam::{IVec3, Vec3};
 use std::sync::OnceLock;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 /// Records that are visited in search of them.
 const VISITED: usize = 64;
@@ -62,6 +63,8 @@ pub(super) struct Change {
 pub(super) struct Cells {
     machine: Machine,
     slots: Vec<Slot>,
+    /// A bit for every slot that has been filled: far fewer than there are.
+    filled: Vec<AtomicU64>,
     width: f32,
     /// Changes that the table does not know of yet.
     pending: Vec<Change>,
@@ -75,6 +78,7 @@ impl Cells {
         Self {
             machine: Machine::detect(),
             slots: (0..count).map(|_| Slot::default()).collect(),
+            filled: (0..count.div_ceil(64)).map(|_| AtomicU64::new(0)).collect(),
             width: 1.0,
             pending: Vec::new(),
         }
@@ -84,8 +88,22 @@ impl Cells {
     pub(super) fn clear(&mut self, width: f32) {
         self.width = width;
         self.pending.clear();
-        for slot in &mut self.slots {
-            slot.0.take();
+        self.forget(|_| true);
+    }
+
+    /// Forgets some of the cells.
+    fn forget(&mut self, mut stale: impl FnMut(&Near) -> bool) {
+        for (word, slots) in self.filled.iter_mut().zip(self.slots.chunks_mut(64)) {
+            let word = word.get_mut();
+            let mut rest = *word;
+            while rest != 0 {
+                let k = rest.trailing_zeros() as usize;
+                rest &= rest - 1;
+                if slots[k].0.get().is_none_or(&mut stale) {
+                    slots[k].0.take();
+                    *word &= !(1 << k);
+                }
+            }
         }
     }
 
@@ -96,20 +114,18 @@ impl Cells {
 
     /// Forgets the cells that noted changes concern.
     pub(super) fn freshen(&mut self) {
-        if self.pending.is_empty() {
+        let pending = std::mem::take(&mut self.pending);
+        if pending.is_empty() {
             return;
         }
-        for slot in &mut self.slots {
-            let Some(near) = slot.0.get() else {
-                continue;
-            };
-            let middle = (near.key.0.as_vec3() + 0.5) * self.width;
-            let mut places = (self.pending.iter()).flat_map(|c| c.removed.iter().chain(&c.added));
-            if places.any(|place| place.distance(middle) <= near.reach) {
-                slot.0.take();
-            }
-        }
-        self.pending.clear();
+        let width = self.width;
+        self.forget(|near| {
+            let middle = (near.key.0.as_vec3() + 0.5) * width;
+            let mut places = pending
+                .iter()
+                .flat_map(|c| c.removed.iter().chain(&c.added));
+            places.any(|place| place.distance(middle) <= near.reach)
+        });
     }
 
     /// The records that answer for places with normals.
@@ -161,9 +177,12 @@ impl Cells {
         }
         let first = hash(key) as usize;
         for k in 0..PROBES {
-            let slot = &self.slots[(first + k) & (self.slots.len() - 1)].0;
+            let at = (first + k) & (self.slots.len() - 1);
             // Another thread may fill the slot first, for another cell.
-            let near = slot.get_or_init(|| look_around(index, stands, self.width, key));
+            let near = self.slots[at].0.get_or_init(|| {
+                self.filled[at / 64].fetch_or(1 << (at % 64), Relaxed);
+                look_around(index, stands, self.width, key)
+            });
             if near.key == key {
                 return Some(near);
             }
@@ -236,9 +255,14 @@ wide! {
     /// The cells that places lie in.
     fn find_keys(per_width: f32, places: &[(Vec3, Vec3)], keys: &mut [Key]) {
         for (&(position, normal), key) in places.iter().zip(keys) {
+            // A large number leaves no room for fractions: the nearest whole number to what is half a cell lower. Beyond, and for what is no
+            // number, all is one cell.
             let floor = |x: f32| {
-                let whole = x as i32;
-                whole - i32::from(x < whole as f32)
+                const LARGE: f32 = 12_582_912.0;
+                const MOST: f32 = 4e6;
+                let x = if x > -MOST { x } else { -MOST };
+                let x = if x < MOST { x } else { MOST };
+                ((x - 0.5) + LARGE).to_bits().cast_signed() - LARGE.to_bits().cast_signed()
             };
             let p = position * per_width;
             *key = (IVec3::new(floor(p.x), floor(p.y), floor(p.z)), side(normal));

@@ -42,7 +42,7 @@ pub(super) fn agreement(
 ) -> f32 {
     let pair = Pair {
         layout,
-        turn: there.frame.transpose() * here.frame,
+        turn: there.frame().transpose() * here.frame(),
         offset: there.local(here.site.origin - there.site.origin),
         map,
         other,
@@ -183,10 +183,10 @@ mod tests {
                 let direction = Vec3::new(x[k], y[k], z[k]);
                 let code = map.code(texels[k]);
                 let (point, footprint) = if code == SKY {
-                    (there.local(here.frame * direction), 0.0)
+                    (there.local(here.world(direction)), 0.0)
                 } else {
                     let distance = layout.scale.decode(code);
-                    let seen = here.site.origin + here.frame * direction * distance;
+                    let seen = here.site.origin + here.world(direction) * distance;
                     let footprint = distance * layout.width() * (1.0 + direction.z);
                     (there.local(seen - there.site.origin), footprint)
                 };

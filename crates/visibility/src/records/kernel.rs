@@ -231,7 +231,7 @@ mod tests {
             .collect();
         let record = Record {
             origin: site.position,
-            frame: [stand.frame.x_axis, stand.frame.y_axis, stand.frame.z_axis],
+            frame: stand.axes(),
             codes: &codes,
             scale: layout.scale,
             resolution: 32,

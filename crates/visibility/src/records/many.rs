@@ -238,7 +238,7 @@ fn silent(cache: &Cache, choice: &Nearby, (light, reach2): (Vec3, f32), eye: Vec
     let records = || choice.ids.iter().filter(|&&id| id != NOBODY);
     let above = |&id: &u32| {
         let stand = &cache.stands[id as usize];
-        stand.frame.z_axis.dot(eye - stand.site.position) > 0.0
+        stand.site.normal.dot(eye - stand.site.position) > 0.0
     };
     if records().next().is_none() {
         Reason::NoRecord
@@ -267,7 +267,7 @@ fn by_record(
         Map::Distances(codes) if cache.settings.lookup != Lookup::March => {
             let record = Record {
                 origin: stand.site.position,
-                frame: [stand.frame.x_axis, stand.frame.y_axis, stand.frame.z_axis],
+                frame: stand.axes(),
                 codes,
                 scale: cache.layout.scale,
                 resolution: cache.layout.resolution,

@@ -54,31 +54,49 @@ pub trait DistanceTracer: Tracer {
     fn sites(&self, rays: &[Ray], sites: &mut [Option<Site>]);
 }
 
-/// Where a record stands and how its map lies.
+/// Where a record stands and how its map lies: a cache line.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[repr(align(64))]
 pub(super) struct Stand {
     pub(super) site: Site,
-    /// World from local: tangent, bitangent, normal.
-    pub(super) frame: Mat3,
+    /// Of the local frame, whose z axis is the normal.
+    tangents: [Vec3; 2],
 }
+
+const _: () = assert!(size_of::<Stand>() == 64);
 
 impl Stand {
     pub(super) fn new(site: Site) -> Self {
         let (x, y) = site.normal.any_orthonormal_pair();
         Self {
             site,
-            frame: Mat3::from_cols(x, y, site.normal),
+            tangents: [x, y],
         }
+    }
+
+    /// Tangent, bitangent, normal.
+    #[inline(always)]
+    pub(super) fn axes(&self) -> [Vec3; 3] {
+        [self.tangents[0], self.tangents[1], self.site.normal]
+    }
+
+    /// World from local.
+    pub(super) fn frame(&self) -> Mat3 {
+        let [x, y, z] = self.axes();
+        Mat3::from_cols(x, y, z)
+    }
+
+    /// A vector of the record's frame in the world.
+    #[inline(always)]
+    pub(super) fn world(&self, v: Vec3) -> Vec3 {
+        let [x, y, z] = self.axes();
+        x * v.x + y * v.y + z * v.z
     }
 
     /// A vector in the record's frame.
     #[inline(always)]
     pub(super) fn local(&self, v: Vec3) -> Vec3 {
-        Vec3::new(
-            self.frame.x_axis.dot(v),
-            self.frame.y_axis.dot(v),
-            self.frame.z_axis.dot(v),
-        )
+        Vec3::from_array(self.axes().map(|axis| axis.dot(v)))
     }
 }
 
@@ -175,7 +193,7 @@ fn trace_part<T: DistanceTracer>(
     for (directions, out) in directions.chunks(BATCH).zip(out.chunks_mut(BATCH)) {
         rays.clear();
         rays.extend(
-            (directions.iter()).map(|&local| Ray::new(stand.site.origin, stand.frame * local)),
+            (directions.iter()).map(|&local| Ray::new(stand.site.origin, stand.world(local))),
         );
         if surfaces {
             let seen = &mut seen[..rays.len()];

@@ -185,8 +185,8 @@ mod avx512 {
     use std::arch::x86_64::*;
     use std::mem::offset_of;
 
-    /// Floats from one stand to the next, and to its parts.
-    const STRIDE: i32 = (size_of::<Stand>() / 4) as i32;
+    /// Logarithm of the floats from one stand to the next, and the floats to its parts.
+    const LINE: u32 = (size_of::<Stand>() / 4).ilog2();
     const POSITION: [usize; 3] = [
         offset_of!(Stand, site.position.x) / 4,
         offset_of!(Stand, site.position.y) / 4,
@@ -197,7 +197,7 @@ mod avx512 {
         offset_of!(Stand, site.normal.y) / 4,
         offset_of!(Stand, site.normal.z) / 4,
     ];
-    const _: () = assert!(size_of::<Stand>().is_multiple_of(4));
+    const _: () = assert!(size_of::<Stand>() == 4 << LINE);
 
     #[inline]
     #[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512dq,bmi1,bmi2")]
@@ -261,7 +261,7 @@ mod avx512 {
         let present = _mm256_cmpneq_epi16_mask(ids, _mm256_set1_epi16(NOBODY_16.cast_signed()));
         let last = _mm512_set1_epi32(stands.len() as i32 - 1);
         let ids = _mm512_min_epi32(_mm512_cvtepu16_epi32(ids), last);
-        let at = _mm512_mullo_epi32(ids, _mm512_set1_epi32(STRIDE));
+        let at = _mm512_slli_epi32::<LINE>(ids);
         let base: *const f32 = stands.as_ptr().cast();
         // SAFETY: parts of stands, of which the last is the last.
         let take = |part: usize| unsafe { _mm512_i32gather_ps::<4>(at, base.add(part)) };

@@ -141,7 +141,7 @@ impl Cache {
         weight: f32,
     ) -> Result<Aim, Reason> {
         // Directions below a record's horizon are not its business.
-        let valid = |id: u32| self.stands[id as usize].frame.z_axis.dot(direction) > 0.0;
+        let valid = |id: u32| self.stands[id as usize].site.normal.dot(direction) > 0.0;
         let id = pick(nearby, self.settings.select, random, valid).ok_or(nearby.silent())?;
         reader.uses[id as usize] += (weight * WHOLE_USE as f32) as u64;
         let d = self.stands[id as usize].local(direction);
@@ -165,7 +165,7 @@ impl Cache {
                 point - self.stands[id as usize].site.position
             }
         };
-        let valid = |id: u32| self.stands[id as usize].frame.z_axis.dot(offset(id)) > 0.0;
+        let valid = |id: u32| self.stands[id as usize].site.normal.dot(offset(id)) > 0.0;
         let id = pick(nearby, self.settings.select, random, valid).ok_or(nearby.silent())?;
         reader.uses[id as usize] += (weight * WHOLE_USE as f32) as u64;
         let p = self.stands[id as usize].local(offset(id));
@@ -248,7 +248,7 @@ impl Cache {
         if texel.trace() {
             return RayAnswer::Unknown(Reason::Unknown);
         }
-        let height = self.stands[id as usize].frame.z_axis.dot(direction);
+        let height = self.stands[id as usize].site.normal.dot(direction);
         let normal = texel.normal();
         RayAnswer::Surface(CachedSurface {
             position,
@@ -280,7 +280,7 @@ impl Cache {
         // Of the plane that a texel sees: a point, how far away that is, and the normal.
         let plane = |at: u32, texel: Texel| {
             let distance = self.layout.scale.decode(texel.code());
-            let middle = stand.frame * self.layout.middle(at);
+            let middle = stand.world(self.layout.middle(at));
             let seen = stand.site.position + middle * distance;
             (seen, distance, texel.normal())
         };
@@ -413,7 +413,7 @@ impl Cache {
         let stand = &self.stands[id as usize];
         let (point, normal) = match segment.end {
             SegmentEnd::Direction(direction) => {
-                if stand.frame.z_axis.dot(direction) <= 0.0 {
+                if stand.site.normal.dot(direction) <= 0.0 {
                     return Err(Reason::BelowHorizon);
                 }
                 return match code {
@@ -428,7 +428,7 @@ impl Cache {
             return self.march_to(id, segment.from, point);
         }
         let offset = point - stand.site.position;
-        let z = stand.frame.z_axis.dot(offset);
+        let z = stand.site.normal.dot(offset);
         let parallax = stand.site.position.distance(segment.from);
         if offset.length() < self.contact_reach(parallax) {
             return Err(Reason::TooNear);

@@ -296,7 +296,7 @@ impl Cache {
             for _ in 0..TRIES {
                 let (radius, turn) = (self.random.unit().sqrt(), self.random.unit());
                 let at = Vec2::from_angle(std::f32::consts::TAU * turn) * (0.7 * farthest * radius);
-                let start = around.site.origin + around.frame * at.extend(lift);
+                let start = around.site.origin + around.world(at.extend(lift));
                 rays.push(Ray {
                     t_max: 1.25 * farthest,
                     ..Ray::new(start, -around.site.normal)
