@@ -86,6 +86,9 @@ impl Report {
 
     /// From now on [`Report::save`] writes what there is to this folder.
     pub fn live(&mut self, folder: &Path) {
+        if let Err(error) = std::fs::create_dir_all(folder) {
+            eprintln!("{}: {error}", folder.display());
+        }
         self.live = Some(folder.to_owned());
     }
 
