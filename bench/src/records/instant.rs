@@ -1,6 +1,6 @@
 //! Instant radiosity: a map a virtual light, three records a light, exact rays (Figs. 6 and 7).
 
-use super::per_light::{self, MapPerLight};
+use super::per_light::{self, map_per_light};
 use super::stage::{Measured, Random, settings, walks};
 use super::{Plan, reasons};
 use crate::common::{Report, Row, Setting, median, thread_seconds};
@@ -9,9 +9,12 @@ use crate::quantized::quality::quality;
 use crate::quantized::shot::{Shot, Stage, Task, instant_radiosity, interleave};
 use crate::quantized::{fixed, percent};
 use glam::Vec2;
-use occlude_visibility::records::{DistanceTracer, Placement, RecordSettings, Records, Scout};
+use occlude_visibility::records::{
+    DistanceTracer, PathSite, Placement, RecordSettings, Records, Scout,
+};
 use occlude_visibility::{
-    Endpoint, EveryLight, Exact, EyeSample, LightEnd, Session, SharedLight, Visibility,
+    BLOCK, Correction, Endpoint, Exact, EyeSample, LightEnd, ManyLights, Session, SharedLight,
+    Visibility,
 };
 
 pub fn run(
@@ -44,8 +47,51 @@ pub fn run(
     frames(setting, plan, report, measured, stage, &along_paths);
 }
 
+/// Eyes that ask together.
+const TILE: usize = 1024;
+
 /// Eyes of some tiles, and lights at the vertices of paths.
-fn questions(setting: &Setting, plan: &Plan, stage: &Stage) -> (Vec<EyeSample>, Vec<SharedLight>) {
+struct Questions {
+    eyes: Vec<EyeSample>,
+    lights: Vec<SharedLight>,
+    /// Who asks about whom, tile by tile: see [`Facing`].
+    sets: Vec<Vec<Vec<u16>>>,
+    asked: u64,
+    /// Questions of all pixels about a light.
+    of_a_light: f64,
+}
+
+/// Eyes of a tile that ask about the lights that they face and that face them, as the integrator does: sets of lights, an eye at a
+/// time, block after block.
+struct Facing<'q> {
+    sets: &'q [Vec<u16>],
+    seen: f32,
+}
+
+impl ManyLights for Facing<'_> {
+    fn wanted(&mut self, block: usize, wanted: &mut [u16]) {
+        wanted.copy_from_slice(&self.sets[block]);
+    }
+
+    fn take(&mut self, _: usize, visible: &[u16], corrections: &[Correction]) {
+        self.seen += visible
+            .iter()
+            .map(|set| set.count_ones() as f32)
+            .sum::<f32>();
+        self.seen += corrections.iter().map(|one| one.amount).sum::<f32>();
+    }
+}
+
+/// Whether light can go from one to the other.
+fn faces(eye: &Endpoint, light: &SharedLight) -> bool {
+    let LightEnd::Surface(there) = light.end else {
+        return false;
+    };
+    let way = there.position - eye.position;
+    eye.normal.dot(way) > 0.0 && there.normal.dot(way) < 0.0
+}
+
+fn questions(setting: &Setting, plan: &Plan, stage: &Stage) -> Questions {
     let mut random = Random(9);
     let view = (stage.view)(plan.size);
     let tiles = if setting.quick { 2 } else { 8 };
@@ -60,7 +106,7 @@ fn questions(setting: &Setting, plan: &Plan, stage: &Stage) -> (Vec<EyeSample>, 
     }
     let mut sites = vec![None; rays.len()];
     stage.geometry.sites(&rays, &mut sites);
-    let eyes = (sites.iter().flatten())
+    let eyes: Vec<EyeSample> = (sites.iter().flatten())
         .map(|site| EyeSample {
             end: Endpoint::new(site.position, site.normal, 1.0),
             origin: site.origin,
@@ -68,7 +114,7 @@ fn questions(setting: &Setting, plan: &Plan, stage: &Stage) -> (Vec<EyeSample>, 
         .collect();
     let mut vertices = Vec::new();
     walks(stage, plan).draw(1024, &mut vertices);
-    let lights = (vertices.iter())
+    let lights: Vec<SharedLight> = (vertices.iter())
         .map(|place| {
             let end = Endpoint::new(place.site.position, place.site.normal, 1.0);
             SharedLight {
@@ -79,27 +125,57 @@ fn questions(setting: &Setting, plan: &Plan, stage: &Stage) -> (Vec<EyeSample>, 
         })
         .take(256)
         .collect();
-    (eyes, lights)
+    let set = |eye: &EyeSample, lights: &[SharedLight]| {
+        let wanted = |(l, light)| u16::from(faces(&eye.end, light)) << l;
+        lights
+            .iter()
+            .enumerate()
+            .map(wanted)
+            .fold(0, |all, one| all | one)
+    };
+    let of_block = |eyes: &[EyeSample], lights| eyes.iter().map(|eye| set(eye, lights)).collect();
+    let of_tile = |eyes| {
+        lights
+            .chunks(BLOCK)
+            .map(|lights| of_block(eyes, lights))
+            .collect()
+    };
+    let sets: Vec<Vec<Vec<u16>>> = eyes.chunks(TILE).map(of_tile).collect();
+    let asked = sets
+        .iter()
+        .flatten()
+        .flatten()
+        .map(|set| u64::from(set.count_ones()))
+        .sum();
+    let pixels = f64::from(plan.size[0] * plan.size[1]);
+    Questions {
+        of_a_light: pixels * asked as f64 / (rays.len() * lights.len()).max(1) as f64,
+        eyes,
+        lights,
+        sets,
+        asked,
+    }
 }
 
 /// Nanoseconds a question, one core.
 fn nanoseconds<'a, V: Visibility<occlude_render::geometry::Geometry<'a>>>(
     stage: &Stage<'a>,
     visibility: &V,
-    (eyes, lights): &(Vec<EyeSample>, Vec<SharedLight>),
+    questions: &Questions,
     repetitions: usize,
 ) -> f64 {
     let mut session = Session::new(stage.geometry, visibility);
     let mut times = Vec::new();
     for _ in 0..=repetitions {
-        let mut sum = 0.0;
+        let mut seen = 0.0;
         let began = thread_seconds();
-        for eyes in eyes.chunks(1024) {
-            let mut add = EveryLight(lights.len(), |_, _, visible: f32| sum += visible);
-            session.answer_many(eyes, lights, &mut add);
+        for (eyes, sets) in questions.eyes.chunks(TILE).zip(&questions.sets) {
+            let mut facing = Facing { sets, seen: 0.0 };
+            session.answer_many(eyes, &questions.lights, &mut facing);
+            seen += facing.seen;
         }
-        times.push((thread_seconds() - began) * 1e9 / (eyes.len() * lights.len()) as f64);
-        std::hint::black_box(sum);
+        times.push((thread_seconds() - began) * 1e9 / questions.asked as f64);
+        std::hint::black_box(seen);
     }
     // The first finds out which records answer.
     median(&times[1..]).0
@@ -114,27 +190,22 @@ fn costs(
     stage: &Stage,
 ) -> Option<f64> {
     let questions = questions(setting, plan, stage);
-    if questions.0.is_empty() || questions.1.is_empty() {
+    if questions.of_a_light == 0.0 {
         report.note(format!("{name}: nothing to ask"));
         return None;
     }
-    let one = MapPerLight::new(stage, plan, questions.1.len() as u32);
-    one.prepare(stage.geometry, &questions.1, &mut walks(stage, plan));
+    let one = map_per_light(stage, plan, questions.lights.len() as u32);
+    one.prepare(stage.geometry, &questions.lights, &mut walks(stage, plan));
     let three = Records::new(RecordSettings {
         pace: 0,
         ..settings(stage, plan, false)
     })
     .expect("legal settings");
     three.prepare(stage.geometry, &[], &mut walks(stage, plan));
-    let site = {
-        let cache = three.cache();
-        let views = cache.views();
-        views[views.len() / 2].site
-    };
     let mut fills = Vec::new();
-    for _ in 0..10 {
+    for place in PathSite::on_lights(&questions.lights).iter().step_by(8) {
         let began = thread_seconds();
-        std::hint::black_box(three.cache().measure_fill(stage.geometry, site));
+        std::hint::black_box(three.cache().measure_fill(stage.geometry, place.site));
         fills.push((thread_seconds() - began) * 1e9);
     }
     let fill = median(&fills).0;
@@ -142,19 +213,20 @@ fn costs(
     let exact = nanoseconds(stage, &Exact, &questions, repetitions);
     let c1 = nanoseconds(stage, &one, &questions, repetitions);
     let c3 = nanoseconds(stage, &three, &questions, repetitions);
-    let pixels = f64::from(plan.size[0] * plan.size[1]);
-    let bound = (fill + pixels * c1) / (pixels * c3);
+    let asked = questions.of_a_light;
+    let bound = (fill + asked * c1) / (asked * c3);
     report.raw(&format!("instant,{name},0,exact,{exact},ns"));
     report.raw(&format!("instant,{name},0,c1,{c1},ns"));
     report.raw(&format!("instant,{name},0,c3,{c3},ns"));
     report.table(
         "Costs of a question, one core: a map a virtual light against three records (a sample a pixel; paper's gain: 36x in San Miguel, 7x in Sibenik, whose fills were slow)",
         &[
-            "scene", "fill F, ms", "one map c1, ns", "three records c3, ns", "exact ray, ns", "bound (F + T c1)/(T c3)",
+            "scene", "questions T", "fill F, ms", "one map c1, ns", "three records c3, ns", "exact ray, ns", "bound (F + T c1)/(T c3)",
             "exact / c3",
         ],
         vec![
             name.into(),
+            format!("{asked:.0}"),
             fixed(fill / 1e6),
             fixed(c1),
             fixed(c3),

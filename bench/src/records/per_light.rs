@@ -10,83 +10,17 @@ use crate::common::{Report, Row, median};
 use crate::quantized::fixed;
 use crate::quantized::quality::quality;
 use crate::quantized::shot::{Shot, Stage, Task, instant_radiosity};
-use occlude_render::geometry::Geometry;
-use occlude_visibility::records::{PathSite, RecordSettings, Records, Scout, Select};
-use occlude_visibility::{
-    Class, Exact, EyeSample, ManyLights, Query, SharedLight, Visibility, VisibilityStats,
-};
+use occlude_visibility::Exact;
+use occlude_visibility::records::{Placement, RecordSettings, Records};
 
-/// A record on every virtual light, which answers for it alone.
-pub struct MapPerLight(Records);
-
-/// Stands on lights.
-struct OnLights(Vec<PathSite>);
-
-impl Scout for OnLights {
-    fn draw(&mut self, _: usize, sites: &mut Vec<PathSite>) {
-        sites.extend(&self.0);
-    }
-}
-
-impl MapPerLight {
-    /// For so many lights at most.
-    pub fn new(stage: &Stage, plan: &Plan, lights: u32) -> Self {
-        let settings = RecordSettings {
-            capacity: lights,
-            select: Select::Nearest,
-            contact: 0.0,
-            pace: 0,
-            steps_per_picture: 0,
-            ..settings(stage, plan, false)
-        };
-        Self(Records::new(settings).expect("legal settings"))
-    }
-}
-
-impl<'a> Visibility<Geometry<'a>> for MapPerLight {
-    type Worker = <Records as Visibility<Geometry<'a>>>::Worker;
-
-    fn name(&self) -> &'static str {
-        "map-per-light"
-    }
-
-    fn class(&self) -> Class {
-        Class::Biased
-    }
-
-    fn worker(&self) -> Self::Worker {
-        Visibility::<Geometry>::worker(&self.0)
-    }
-
-    fn answer(
-        &self,
-        tracer: &Geometry<'a>,
-        worker: &mut Self::Worker,
-        queries: &[Query],
-        answers: &mut [f32],
-    ) {
-        self.0.answer(tracer, worker, queries, answers);
-    }
-
-    fn answer_many(
-        &self,
-        tracer: &Geometry<'a>,
-        worker: &mut Self::Worker,
-        eyes: &[EyeSample],
-        lights: &[SharedLight],
-        asker: &mut dyn ManyLights,
-    ) {
-        self.0.answer_many(tracer, worker, eyes, lights, asker);
-    }
-
-    fn prepare(&self, tracer: &Geometry<'a>, lights: &[SharedLight], _: &mut dyn Scout) {
-        let mut scout = OnLights(PathSite::on_lights(lights));
-        self.0.cache_mut().place_initial(tracer, &mut scout);
-    }
-
-    fn stats(&self, worker: &Self::Worker) -> VisibilityStats {
-        Visibility::<Geometry>::stats(&self.0, worker)
-    }
+/// A record on every virtual light, which answers for it alone: so many lights at most.
+pub fn map_per_light(stage: &Stage, plan: &Plan, lights: u32) -> Records {
+    let settings = RecordSettings {
+        capacity: lights,
+        placement: Placement::Lights,
+        ..settings(stage, plan, false)
+    };
+    Records::new(settings).expect("legal settings")
 }
 
 /// Frames with few and many lights; `bound` by the costs of questions.
@@ -112,7 +46,7 @@ pub fn frames(plan: &Plan, report: &mut Report, name: &str, stage: &Stage, bound
     let mut last: Option<[[Shot; 2]; 2]> = None;
     for _ in 0..plan.repetitions.clamp(2, 3) {
         let shots = [0, 1].map(|k| {
-            let maps = MapPerLight::new(stage, plan, counts[k]);
+            let maps = map_per_light(stage, plan, counts[k]);
             let shots = [
                 stage.shoot(&maps, &task(counts[k])),
                 stage.shoot(&cache, &task(counts[k])),

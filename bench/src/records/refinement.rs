@@ -7,14 +7,14 @@ use crate::quantized::fixed;
 use crate::quantized::plot::{Curve, Plot};
 use crate::quantized::quality::quality;
 use crate::quantized::shot::{Shot, Stage, Task, instant_radiosity};
-use glam::Vec3;
+use glam::Vec2;
 use occlude_visibility::Exact;
 use occlude_visibility::records::{Cache, RecordSettings, Records, Scout};
 
 /// Weights of use: the paper's three (Fig. 10), and the default.
 const ALPHAS: [f32; 4] = [0.6, 0.0, 0.5, 1.0];
 
-/// Where the camera goes while records follow it (Fig. 5), in radii of the scene, if nothing stands in its way.
+/// How far the camera goes ahead at a time while records follow it (Fig. 5), in radii of the scene, if nothing stands in its way.
 const STRIDE: f32 = 0.02;
 
 /// Largest share of questions that rays may answer where errors of records are judged.
@@ -206,6 +206,9 @@ impl Study<'_, '_> {
         let mut scout = walks(self.stage, self.plan);
         cache.place_initial(self.stage.geometry, &mut scout);
         let asked = 4 * cache.len();
+        let [width, height] = self.plan.size.map(|side| side as f32);
+        let middle = (self.stage.view)(self.plan.size).ray(0.5 * Vec2::new(width, height));
+        let ahead = middle.ray.direction.normalize();
         let what = if moving { "moving" } else { "still" };
         let mut points = Vec::new();
         for round in 0..=rounds {
@@ -221,7 +224,7 @@ impl Study<'_, '_> {
                 variance.sqrt() / mean
             ));
             if moving {
-                scout.shift += STRIDE * self.stage.bounds.radius * Vec3::X;
+                scout.shift += STRIDE * self.stage.bounds.radius * ahead;
             }
             cache.refine_before(self.stage.geometry, 125, &mut |sites| {
                 scout.draw(asked, sites);

@@ -190,8 +190,8 @@ fn resume_goes_on_with_the_same_records() {
         );
         // Damaged records are an error.
         let mut damaged = checkpoint;
-        let last = damaged.len() - 60 * 104 - 24;
-        assert_eq!(&damaged[last..last + 8], b"OCCREC01");
+        let last = damaged.len() - 60 * 104 - 32;
+        assert_eq!(&damaged[last..last + 8], b"OCCREC02");
         damaged[last] ^= 1;
         std::fs::write(dir.path("cut.exr.checkpoint"), damaged).unwrap();
         dir.refuses(

@@ -206,12 +206,13 @@ impl Layout {
 }
 
 impl Layout {
-    /// Whether a film is what a finished pass left.
-    fn is_between_passes(&self, film: &Film) -> bool {
+    /// The number of passes that a film holds, if it is what a finished pass left.
+    fn finished_passes(&self, film: &Film) -> Option<u64> {
         let done = film.min_samples();
         let ends = done == self.first || done > 0 && done.is_multiple_of(self.together);
         let mut rows = 0..film.height();
-        ends && rows.all(|y| (0..film.width()).all(|x| film.samples_at(x, y) == done))
+        let even = rows.all(|y| (0..film.width()).all(|x| film.samples_at(x, y) == done));
+        (ends && even).then(|| u64::from(1 + done / self.together - self.first / self.together))
     }
 }
 
@@ -333,8 +334,9 @@ impl Sequence {
             };
         };
         cache.restore(world.geometry, state)?;
-        // What a finished pass has asked was not taken over yet.
-        if Layout::of(settings).is_between_passes(film) {
+        // What the last finished pass has asked may not have been taken over yet: that depends on the moment of the interruption.
+        let finished = Layout::of(settings).finished_passes(film);
+        if finished.is_some_and(|finished| cache.passes() < finished) {
             cache.pass_done(world.geometry);
         }
         Ok(())
@@ -534,7 +536,11 @@ impl Sequence {
             }
             first_round = false;
             if stop(false) && round_end < target {
-                stopped_by = StoppedBy::Time;
+                stopped_by = if job.is_cancelled() {
+                    StoppedBy::Cancel
+                } else {
+                    StoppedBy::Time
+                };
                 break;
             }
             let checkpoint = round_end.is_power_of_two() || round_end % 16 == 0;

@@ -167,6 +167,8 @@ pub struct Cache {
     /// The records are those of an earlier run ([`Self::restore`]), and nobody has asked yet.
     pub(super) restored: bool,
     pub(super) random: Random,
+    /// Passes that have been learnt from.
+    pub(super) passes: u64,
     pub(super) report: RecordsReport,
 }
 
@@ -188,6 +190,7 @@ impl Cache {
             version: 0,
             on_lights: false,
             restored: false,
+            passes: 0,
             random: Random(settings.seed ^ 0x7265_636f_7264_7321),
             report: RecordsReport {
                 capacity: settings.capacity,
@@ -221,6 +224,11 @@ impl Cache {
             peak_bytes: self.report.peak_bytes.max(bytes),
             ..self.report
         }
+    }
+
+    /// Passes that the records have learnt from ([`Self::pass_done`]), in all pictures.
+    pub fn passes(&self) -> u64 {
+        self.passes
     }
 
     /// Whether the records are those of an earlier run ([`Self::restore`]), ready for questions; true once alone.

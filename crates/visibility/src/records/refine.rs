@@ -100,6 +100,7 @@ impl Cache {
     /// Learns from a pass: takes over what it has used ([`Self::end_pass`]), and takes [`RecordSettings::pace`](super::RecordSettings::pace) steps.
     pub fn pass_done<T: DistanceTracer>(&mut self, tracer: &T) {
         let began = Instant::now();
+        self.passes += 1;
         self.end_pass();
         self.refine_after(tracer, self.settings.pace);
         self.report.upkeep += began.elapsed();

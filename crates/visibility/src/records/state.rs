@@ -10,7 +10,7 @@ use super::neighbours::{NEIGHBOURS, NOBODY};
 use glam::Vec3;
 use std::sync::atomic::Ordering::Relaxed;
 
-const MAGIC: u64 = u64::from_le_bytes(*b"OCCREC01");
+const MAGIC: u64 = u64::from_le_bytes(*b"OCCREC02");
 
 /// In front of the records.
 #[repr(C)]
@@ -18,6 +18,7 @@ const MAGIC: u64 = u64::from_le_bytes(*b"OCCREC01");
 struct Head {
     magic: u64,
     random: u64,
+    passes: u64,
     count: u32,
     spacing: f32,
 }
@@ -75,6 +76,7 @@ impl Cache {
         let head = Head {
             magic: MAGIC,
             random: self.random.0,
+            passes: self.passes,
             count: self.len() as u32,
             spacing: self.spacing,
         };
@@ -138,6 +140,7 @@ impl Cache {
         let maps = map::fill_all(tracer, &self.layout, &stands, surfaces, threads);
         self.report.fill_rays += (stands.len() * self.layout.texels.len()) as u64;
         self.random = Random(head.random);
+        self.passes = head.passes;
         self.spacing = head.spacing;
         for ((kept, stand), map) in records.iter().zip(stands).zip(maps) {
             let slot = Slot {

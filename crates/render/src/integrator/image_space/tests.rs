@@ -3,7 +3,9 @@
 use super::*;
 use crate::camera::{PixelFilter, View};
 use crate::film::Film;
-use crate::integrator::{Integrator, RenderSettings, Sequence};
+use crate::integrator::{
+    AtRest, Integrator, RenderSettings, SAMPLES_TOGETHER, Sequence, records_state,
+};
 use crate::job::Job;
 use crate::light::{LightSelection, Lights};
 use crate::sampling::SamplerKind;
@@ -156,4 +158,59 @@ fn records_keep_the_light_of_a_room() {
     let sum = |sums: &[[f64; 2]]| sums.iter().map(|s| s[0]).sum::<f64>();
     let energy = sum(&other) / sum(&plain) - 1.0;
     assert!(energy.abs() < 0.05, "{energy}");
+}
+
+/// Cancelled right after a pass, when the records have learnt from it already: that must not happen twice.
+#[test]
+fn a_pass_is_learnt_from_once() {
+    let scene = procedural::build(procedural::Name::Cornell, None, 0);
+    let pose = Pose::at(&scene, 0.0);
+    let geometry = Geometry::new(&scene, &pose, &BuildOptions::default()).unwrap();
+    let lights = Lights::new(&scene, &pose, None, LightSelection::Tree);
+    let world = World {
+        geometry: &geometry,
+        lights: &lights,
+    };
+    let view = View::of_camera(&scene, &pose, 0, SIZE, SIZE);
+    let settings = RenderSettings {
+        integrator: Integrator::Path(PathLimits::new(5)),
+        sampler: SamplerKind::Independent,
+        filter: PixelFilter::Box,
+        seed: 3,
+        samples: 0..3 * SAMPLES_TOGETHER,
+        time_limit: None,
+        noise: None,
+    };
+    let sequence = || {
+        let records = RecordSettings {
+            capacity: 40,
+            resolution: 16,
+            pace: 5,
+            scene: [Vec3::splat(-1.0), Vec3::splat(2.0)],
+            ..RecordSettings::default()
+        };
+        Sequence::with_secondary(Secondary::new(records, 1).unwrap())
+    };
+    let render = |sequence: &mut Sequence, film: &mut Film, passes: u32| {
+        let job = Job::new();
+        let mut left = passes;
+        let mut at_rest = |_: &AtRest| {
+            left -= 1;
+            if left == 0 {
+                job.cancel();
+            }
+        };
+        sequence.render(&world, &view, &Exact, &settings, film, &job, &mut at_rest);
+    };
+    let mut whole = Film::new(SIZE, SIZE, false);
+    render(&mut sequence(), &mut whole, u32::MAX);
+    let mut film = Film::new(SIZE, SIZE, false);
+    let mut first = sequence();
+    render(&mut first, &mut film, 2);
+    assert_eq!(film.min_samples(), SAMPLES_TOGETHER);
+    let state = records_state(&Exact, first.secondary.as_ref());
+    let mut second = sequence();
+    (second.restore_records(&world, &Exact, &settings, &film, &state)).unwrap();
+    render(&mut second, &mut film, u32::MAX);
+    assert!(film.develop().radiance == whole.develop().radiance);
 }
