@@ -510,7 +510,7 @@ fn what_is_restored_goes_on_as_if_nothing_had_happened() {
         cache.refine_before(&world, 40, &mut |pilots| pilots.extend(early));
         ask(&cache, early);
         let state = cache.state();
-        assert_eq!(state.len(), 24 + 60 * 104);
+        assert_eq!(state.len(), 32 + 60 * 104);
         let mut other = Cache::new(settings.clone()).unwrap();
         other.restore(&world, &state).unwrap();
         assert!(other.take_restored() && !other.take_restored());
@@ -529,16 +529,16 @@ fn what_is_restored_goes_on_as_if_nothing_had_happened() {
 
         // Damage is an error, and leaves an empty cache.
         let fresh = || Cache::new(settings.clone()).unwrap();
-        for cut in [0, 5, 23, 24, 60, state.len() - 1] {
+        for cut in [0, 5, 31, 32, 60, state.len() - 1] {
             let mut cache = fresh();
             assert!(cache.restore(&world, &state[..cut]).is_err() && cache.is_empty());
         }
         for (place, what) in [
             (0, 0x55),
-            (16, 0xff),
-            (23, 0xff),
-            (24 + 23, 0x41),
-            (24 + 47, 1),
+            (24, 0xff),
+            (31, 0xff),
+            (32 + 23, 0x41),
+            (32 + 47, 1),
         ] {
             let mut damaged = state.clone();
             damaged[place] = what;
