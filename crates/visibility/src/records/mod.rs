@@ -160,6 +160,7 @@ impl<T: DistanceTracer> Visibility<T> for Records {
         if cache.take_restored() {
             return;
         }
+        cache.leave_lights();
         let steps = if cache.is_empty() {
             let lights = &lights;
             cache.place_initial(tracer, &mut WithLights { scout, lights });

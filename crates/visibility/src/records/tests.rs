@@ -707,4 +707,15 @@ fn records_follow_lights() {
     Visibility::<Boxes>::pass_done(&records, &world);
     assert_eq!(records.cache().report().steps.steps, 0);
     assert_eq!(sights(&world, &records, &questions).0, seen);
+    // More lights than records: along paths from then on, and steps go on.
+    let many = [questions.0, later].concat();
+    assert!(many.len() > 50);
+    records.prepare(&world, &many, &mut scout);
+    Visibility::<Boxes>::pass_done(&records, &world);
+    assert_eq!(records.cache().report().steps.steps, 1);
+    let stands_on_light = |light: &&SharedLight| match light.end {
+        LightEnd::Surface(end) => records.cache().own(end.position, end.normal).is_some(),
+        _ => false,
+    };
+    assert_eq!(many.iter().filter(stands_on_light).count(), 0);
 }
